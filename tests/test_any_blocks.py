@@ -17,20 +17,29 @@ from hypothesis import strategies as st
 
 import learn2assemble as l2a
 from learn2assemble.assembly.blocks import Assembly, Block, box_block, hull_block
+from learn2assemble.assembly.instruction_words import facts
+from learn2assemble.assembly.instructions import instructions
+from learn2assemble.cell.carry_out import Workcell, carry_out
 from learn2assemble.cell.pieces import overlaps, pieces_of, solids, ways_to_rest, with_rests
 from learn2assemble.cell.reach import check_held
+from learn2assemble.cell.workcell import Disturbance
+from learn2assemble.cli.commands import _print_plan
+from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError
 from learn2assemble.export.robot_programs import export_program, replay_program
 from learn2assemble.geometry.hulls import Hull, hull_of, resting_turns, rotations_onto
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.files import read_record, write_record
-from learn2assemble.motion.record import find_fault
+from learn2assemble.motion.record import BuildRecord, find_fault
+from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part, Shape, body_of
 from learn2assemble.robot.holding import PAD, attitudes, free_face, holds_of, ways_to_turn
 from learn2assemble.robot.kinematic import BlockChecker
+from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import Move, Scene, carried, put_down
+from read_back import pdf_text
 from robot_scenes import check_hit
 
 STRUCTURES = Path(__file__).resolve().parents[1] / "examples/structures"
@@ -342,6 +351,95 @@ def test_an_arch_is_built_on_posts_and_stands_when_they_are_gone(arch: Plan) -> 
     cells = {cell for hand in arch.record.hands for cell in hand.cells}
     assert (arch.record.steps[-1].after[sorted(cells), 2] < 0).all()
     assert len(arch.record.steps) == 9
+
+
+def inside(record: BuildRecord, cell: int, pose: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """bool[N]: which points lie in a cell at a pose."""
+    own = (points - pose[:3]) @ quaternion_matrix(pose[3:])
+    hull = None if record.hull is None else record.hull[cell]
+    if hull is not None:
+        return (own @ hull.normals.T - hull.offsets < 0).all(1)
+    assert record.half is not None
+    return (np.abs(own) < record.half[cell]).all(1)
+
+
+def assert_cups_are_on_free_faces(plan: Plan) -> None:
+    """From the joints of the arm, when it grips and when it lets go."""
+    record = plan.record
+    assert record is not None
+    x, y, z = record.arm.base_position.tolist()
+    base = x, y, z, record.arm.base_yaw
+    arm = get_arm(record.arm.name, record.arm.tool_name, base)
+    assert arm.suction is not None
+    radius = arm.suction.cups[0].radius
+    angle = np.arange(24) * np.pi / 12
+    for step in record.steps:
+        assert step.grip is not None
+        assert step.release is not None
+        for time, poses in ((step.grip, step.before), (step.release, step.after)):
+            at = int(np.searchsorted(step.samples.time, time, side="right")) - 1
+            point, turn = forward(get_chain(arm), step.samples.joints[at])
+            ring = [np.cos(angle), np.sin(angle), np.zeros(24)]
+            ring = point + 0.95 * radius * np.stack(ring, 1) @ turn.T
+            ring = np.vstack([ring, ring + (point - ring) / 2, point])
+            own = [inside(record, k, poses[k], ring + 0.003 * turn[:, 2]) for k in step.cells]
+            assert np.any(own, 0).all(), "all of the cup is on the block"
+            lip = np.vstack([ring - back * turn[:, 2] for back in (0.001, 0.003)])
+            for k in range(record.num_cells):
+                assert not inside(record, k, poses[k], lip).any(), (step.number, k)
+
+
+@pytest.mark.parametrize("arm", ["panda", "ur5e"])
+def test_no_cup_is_on_a_face_that_is_covered(arm: str) -> None:
+    """Turned bricks, one on the others."""
+    plan = l2a.build(turned_bricks(6), arm=arm)
+    assert plan.complete, plan.reason
+    assert_cups_are_on_free_faces(plan)
+
+
+def test_no_cup_is_on_a_face_of_a_voussoir_that_is_covered(arch: Plan) -> None:
+    """Faces lean, and neighbours and posts cover the others."""
+    assert_cups_are_on_free_faces(arch)
+
+
+def test_a_kind_has_one_magazine_whatever_its_poses() -> None:
+    """What is dropped is put aside, and the next one of the magazine comes."""
+    plan = plan_assembly(turned_bricks(6))
+    dropping = Disturbance(drop=frozenset({2}))
+    done = carry_out(plan, Workcell("ur5e", disturbance=dropping, hands=True), joint=0.0)
+    assert done.complete, done.reason
+    assert done.assembly is not None
+    assert done.arm is not None
+    assert done.arm.attempts > 6
+    waiting: dict[str, set[tuple[float, ...]]] = {}
+    for block, at in zip(done.assembly.blocks, done.blocks.waiting, strict=True):
+        waiting.setdefault(block.kind, set()).add(tuple(at))
+    assert {kind: len(places) for kind, places in waiting.items()} == {"brick": 1, "half": 1}
+    assert done.arm.places == 2
+
+
+def test_what_is_done_by_hand_is_said_wherever_a_plan_is_shown(
+    arch: Plan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert arch.assembly is not None
+    numbers = [step.step for step in arch.steps if step.by_hand]
+    assert [n for n, s in enumerate(arch.assembly.steps, 1) if s.by_hand] == numbers
+    for kind in ("assembly", "compas"):
+        again = l2a.read_assembly(l2a.export_assembly(arch.assembly, kind, tmp_path))
+        assert again.steps == arch.assembly.steps
+    told = instructions(arch.assembly)
+    assert [p.number for p in told.placements if p.by_hand] == numbers
+    assert any(f"{len(numbers)} steps by hand" in fact for fact in facts(told))
+    html = l2a.export_assembly(arch.assembly, "cards", tmp_path).read_text()
+    assert html.count("By hand, while the arm waits.") == len(numbers)
+    assert pdf_text(arch.assembly).count("By hand, while the arm waits.") == len(numbers)
+    arch.save(tmp_path / "plan")
+    page = (tmp_path / "plan" / "view.html").read_text()
+    assert page.count("By hand, while the arm waits.") >= len(numbers)
+    assert page.count("place by hand") == len(numbers) / 2
+    _print_plan(Output(False), arch, {})
+    line = next(s for s in capsys.readouterr().out.splitlines() if s.startswith("by hand, while"))
+    assert line.count("post-") == len(numbers)
 
 
 def test_a_build_with_hulls_and_hands_is_written_read_and_played(

@@ -549,6 +549,34 @@ def test_a_folder_and_a_scene_of_meshes(tmp_path: Path, suffix: str) -> None:
         read_assembly(folder, supports=["nobody"])
 
 
+def test_instances_of_one_mesh_are_blocks(tmp_path: Path) -> None:
+    """A scene with one mesh and many nodes, mirrored and turned ones among them."""
+    trimesh = pytest.importorskip("trimesh")
+    scene = trimesh.Scene()
+    upright = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
+    wedge = np.array([(x, y, z * (x < 0.15)) for x in (0, 0.2) for y in (0, 0.1) for z in (0, 0.1)])
+    hull = trimesh.convex.convex_hull(wedge)
+    for k in range(1200):
+        matrix = np.eye(4)
+        matrix[:3, 3] = 0.5 * (k % 40), 0.5 * (k // 40), 0
+        if k % 3 == 1:
+            matrix[:3, :3] = np.diag([-1, 1, 1])
+        elif k % 3 == 2:
+            matrix[:2, :2] = [[0, -1], [1, 0]]
+        if k:
+            scene.graph.update(frame_to=f"w{k}", matrix=upright @ matrix, geometry="wedge")
+        else:
+            scene.add_geometry(hull, node_name="w0", geom_name="wedge", transform=upright)
+    scene.export(tmp_path / "instances.glb")
+    made = read_assembly(tmp_path / "instances.glb")
+    assert {block.id for block in made.blocks} == {f"w{k}" for k in range(1200)}
+    for block in made.blocks:
+        k = int(block.id[1:])
+        assert block.volume == pytest.approx(1e-3, rel=1e-5)
+        corner = [0.5 * (k % 40) - 0.2 * (k % 3 == 1) - 0.1 * (k % 3 == 2), 0.5 * (k // 40), 0]
+        assert block.vertices.min(0) == pytest.approx(corner, abs=1e-5)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [

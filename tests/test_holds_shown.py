@@ -243,6 +243,45 @@ def test_programs_get_what_stands_in_the_end(kind: str, tmp_path: Path) -> None:
     assert (tmp_path / "instructions.pdf").read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.parametrize("kind", ["holds", "posts"])
+def test_what_stands_already_is_kept_and_told(kind: str, tmp_path: Path) -> None:
+    """An old wall beside, and the base of an arch that is built on it."""
+    bare = replace(arch(5), steps=(), friction=0.7)
+    ends = np.array([[b.vertices.min(0), b.vertices.max(0)] for b in bare.blocks])
+    low, high = ends[:, 0].min(0), ends[:, 1].max(0)
+    base = box_block("base", (low[0], low[1], low[2] - 0.1), (high[0], high[1], low[2]))
+    wall = box_block("old wall", (high[0] + 0.3, low[1], low[2]), (high[0] + 0.4, high[1], high[2]))
+    old = [replace(block, support=True) for block in (base, wall)]
+    given = replace(bare, blocks=(*old, *bare.blocks))
+    plan = plan_assembly(given, holds=kind == "holds", supports="none" if kind == "holds" else "auto")
+    assert plan.complete, plan.reason
+    made = plan.assembly
+    assert made is not None
+    assert any(step.hold for step in made.steps) == (kind == "holds")
+    assert any(block.prop for block in made.blocks) == (kind == "posts")
+    plan.save(tmp_path / "plan")
+    assert Plan.load(tmp_path / "plan") == plan
+    for read in (
+        read_assembly(tmp_path / "plan"),
+        read_assembly(export_assembly(made, "assembly", tmp_path)),
+        read_assembly(export_assembly(made, "compas", tmp_path)),
+    ):
+        assert read.steps == made.steps
+        assert {b.id for b in read.blocks if b.support} == {"base", "old wall"}
+        assert {b.id for b in read.blocks if b.prop} == {b.id for b in made.blocks if b.prop}
+        for block in made.blocks:
+            other = read.block(block.id)
+            assert other.volume == pytest.approx(block.volume, rel=1e-6)
+            assert other.centroid == pytest.approx(block.centroid, abs=1e-8)
+    model = mujoco.MjModel.from_xml_path(str(export_assembly(made, "mjcf", tmp_path)))
+    fixed = {model.body(k).name for k in range(1, model.nbody) if not model.body(k).jntnum[0]}
+    assert fixed == {"base", "old wall"}
+    standing = sum(line.standing for line in instructions(made).bill)
+    assert standing == 2
+    for text in (step_cards(made), visible_text((tmp_path / "plan" / "view.html").read_text())):
+        assert "standing" in text or "2 fixed supports" in text
+
+
 def test_a_proof_is_told_in_words_that_fit(tmp_path: Path) -> None:
     plan = planned("holds")
     steps = list(plan.steps)

@@ -144,12 +144,14 @@ class AssemblyStep:
         remove: the block that is taken away.
         hold: the block, in its place, that a hand holds from now on.
         release: the block that the hand lets go.
+        by_hand: whether a person does it while an arm waits; None where all is done alike.
     """
 
     place: str | None = None
     remove: str | None = None
     hold: str | None = None
     release: str | None = None
+    by_hand: bool | None = None
 
     def __post_init__(self) -> None:
         given = [self.place, self.remove, self.hold, self.release]

@@ -115,6 +115,11 @@ def action_words(action: Action, block: str) -> str:
     return f"Let go of {block}"
 
 
+def hand_words(placement: Placement) -> str:
+    """What is said of a step that a person does while an arm waits; empty of any other."""
+    return "By hand, while the arm waits." if placement.by_hand else ""
+
+
 def corner_words(shape: BlockShape) -> str:
     """The corners of a shape that is no box, from the first; empty of a box."""
     if shape.is_box:
@@ -145,6 +150,8 @@ def facts(told: Instructions) -> tuple[str, ...]:
         found.append("props stand only for a while and are taken away again")
     if any(p.action == "hold" for p in placements):
         found.append("a hand keeps a block that is held in its place until it is let go")
+    if by_hand := sum(p.by_hand for p in placements):
+        found.append(f"{count_words(by_hand, 'step')} by hand, while the arm waits")
     if left := len(told.assembly.not_built):
         found.append(f"not finished: {count_words(left, 'block')} of the design have no step")
     return tuple(found)

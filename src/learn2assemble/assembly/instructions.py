@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
 
@@ -102,6 +102,8 @@ class Placement:
     """Turns about x, then y, then z, counter-clockwise against the axis [deg]."""
     action: Action = "place"
     prop: bool = False
+    by_hand: bool = False
+    """Whether a person does it while an arm waits."""
 
     @property
     def leans(self) -> bool:
@@ -252,11 +254,12 @@ def _groups(
     for height in np.sort(heights[[index for index, _ in steps]]).tolist():
         if not layers or height > layers[-1] + 1e-4:
             layers.append(height)
+    by_hand = {number for number, step in enumerate(assembly.steps, 1) if step.by_hand}
     together: list[list[tuple[int, int, Action]]] = []
     free = False
     for number, (index, action) in enumerate(steps, 1):
         block = assembly.blocks[index]
-        alone = action != "place" or block.prop or not upright[index]
+        alone = action != "place" or block.prop or number in by_hand or not upright[index]
         last = together[-1][-1][1] if together else index
         joins = free and not alone and abs(heights[index] - heights[last]) <= 1e-4
         if joins and len(together[-1]) < MOST_TOGETHER:
@@ -269,7 +272,9 @@ def _groups(
         height = float(heights[members[0][1]])
         layer = int(np.searchsorted(np.array(layers) - 1e-9, height, side="right"))
         placements = tuple(
-            shapes.placement(index, at, assembly.blocks[index], action)
+            replace(
+                shapes.placement(index, at, assembly.blocks[index], action), by_hand=at in by_hand
+            )
             for at, index, action in members
         )
         _, index, action = members[0]

@@ -18,6 +18,8 @@ import numpy as np
 from learn2assemble.errors import InputError, trusted
 from learn2assemble.files import FARTHEST
 
+MAX_NODES = 10_000
+"""Of a GLB scene, each of which may be an instance of a mesh."""
 MAX_TRIANGLES = 200_000
 MAX_BYTES = 50_000_000
 """Largest mesh file."""
@@ -139,8 +141,8 @@ def _geometry_only(content: bytes, source: str) -> bytes:
             "bufferView" not in a or "sparse" in a for a in accessors
         ):
             raise ValueError("too many or sparse values")
-        if len(root.get("nodes", [])) > 1000:
-            raise ValueError("more than 1000 nodes")
+        if len(root.get("nodes", [])) > MAX_NODES:
+            raise ValueError(f"more than {MAX_NODES} nodes")
         faces = [_primitives(root, node) for node in root.get("nodes", [])]
         if sum(faces) > MAX_TRIANGLES:
             raise ValueError(f"more than {MAX_TRIANGLES} triangles")

@@ -690,10 +690,11 @@ def _carried_out(
             )
         )
     made = tuple(
-        AssemblyStep(remove=plan.assembly.blocks[s.block].id)
-        if s.remove
-        else AssemblyStep(place=plan.assembly.blocks[s.block].id)
-        for s in done
+        AssemblyStep(
+            **{"remove" if s.remove else "place": plan.assembly.blocks[s.block].id},
+            by_hand=step.by_hand or None,
+        )
+        for s, step in zip(done, steps, strict=True)
     )
     assembly = replace(plan.assembly, steps=made, not_built=()).as_far_as_placed()
     ranges: dict[str, Any] = {}

@@ -339,6 +339,10 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
         )
     if plan.arm is not None:
         _print_arm(output, plan.arm)
+        blocks = plan.assembly.blocks if plan.assembly else ()
+        by_hand = [f"{s.step} ({s.action} {blocks[s.block].id})" for s in plan.steps if s.by_hand]
+        if by_hand:
+            output.say(f"by hand, while the arm waits: steps {', '.join(by_hand)}")
     if plan.reason:
         output.say(f"why: {plan.reason}")
     for what, path in files.items():

@@ -10,6 +10,7 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.instruction_words import (
     action_words,
+    hand_words,
     bill_words,
     block_words,
     corner_words,
@@ -257,6 +258,8 @@ def _words(
             f"Layer {group.layer} of {layers}, from {length_words(group.level)} mm up. Block "
             f"{numbers[0]}: {place_words(first)}."
         )
+    if first.by_hand:
+        words.append(hand_words(first))
     if first.action == "remove":
         words.append("Take the prop away; nothing else may move.")
     elif first.action != "place":

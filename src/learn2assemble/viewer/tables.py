@@ -22,6 +22,7 @@ from learn2assemble.assembly.instruction_words import (
     count_words,
     cut_list,
     extent_words,
+    hand_words,
     place_words,
     placement_words,
 )
@@ -102,6 +103,8 @@ class Noted(NamedTuple):
             text = f"{self.action.capitalize()} {name}, layer {part.layer + 1}."
         else:
             text = f"{action_words(self.action, f'block {part.block.id}')}."
+        if self.placement.by_hand:
+            text += f" {hand_words(self.placement)}"
         if self.held:
             text += f" Still in a hand: {', '.join(self.held)}."
         if note.proof:
@@ -200,7 +203,7 @@ def _row(step: Noted, covered: bool, more: bool) -> str:
     margin = note.margin_g or 0.0
     cells = [
         str(step.number),
-        step.action,
+        step.action + " by hand" * step.placement.by_hand,
         letter,
         x,
         y,
