@@ -358,7 +358,7 @@ def inside(record: BuildRecord, cell: int, pose: np.ndarray, points: np.ndarray)
     own = (points - pose[:3]) @ quaternion_matrix(pose[3:])
     hull = None if record.hull is None else record.hull[cell]
     if hull is not None:
-        return (own @ hull.normals.T - hull.offsets < 0).all(1)
+        return np.all(own @ hull.normals.T - hull.offsets < 0, 1)
     assert record.half is not None
     return (np.abs(own) < record.half[cell]).all(1)
 

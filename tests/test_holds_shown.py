@@ -253,7 +253,9 @@ def test_what_stands_already_is_kept_and_told(kind: str, tmp_path: Path) -> None
     wall = box_block("old wall", (high[0] + 0.3, low[1], low[2]), (high[0] + 0.4, high[1], high[2]))
     old = [replace(block, support=True) for block in (base, wall)]
     given = replace(bare, blocks=(*old, *bare.blocks))
-    plan = plan_assembly(given, holds=kind == "holds", supports="none" if kind == "holds" else "auto")
+    plan = plan_assembly(
+        given, holds=kind == "holds", supports="none" if kind == "holds" else "auto"
+    )
     assert plan.complete, plan.reason
     made = plan.assembly
     assert made is not None

@@ -10,12 +10,12 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.instruction_words import (
     action_words,
-    hand_words,
     bill_words,
     block_words,
     corner_words,
     cut_list,
     facts,
+    hand_words,
     length_words,
     place_words,
     placement_words,

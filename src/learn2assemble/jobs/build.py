@@ -413,6 +413,8 @@ def _plan_blocks(
     from learn2assemble.planning.given import plan_assembly
 
     supports, holds, hands, _ = help_
+    if workcell is not None:
+        workcell = _for_given(blocks, workcell)  # What no tool can hold is said before planning.
     if workcell is None or not blocks.holds:
         plan = plan_assembly(blocks, supports=supports, holds=holds, hands=hands, **given)
         if workcell is None:
@@ -420,7 +422,6 @@ def _plan_blocks(
     else:
         _check_pressed(blocks)
         plan = plan_for_arm(blocks)
-    workcell = _for_given(blocks, workcell)
     from learn2assemble.cell.carry_out import carry_out
 
     return carry_out(plan, workcell, joint=0.0, progress=given["progress"])
