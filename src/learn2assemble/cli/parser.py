@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import inspect
 import math
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -85,6 +86,14 @@ def command(
         return run
 
     return enter
+
+
+def asked(
+    function: Callable[..., Any], options: argparse.Namespace, *without: str
+) -> dict[str, Any]:
+    """The options of a command that are arguments of a function, but those that are named."""
+    names = set(inspect.signature(function).parameters) - set(without)
+    return {name: value for name, value in vars(options).items() if name in names}
 
 
 class _Parser(argparse.ArgumentParser):

@@ -1,0 +1,257 @@
+"""The commands of the wing of the paper: train, eval, tasks; and bench, which measures both."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from learn2assemble.cli.output import check_new_file, write_result
+from learn2assemble.cli.parser import (
+    Command,
+    arg,
+    arm_argument,
+    asked,
+    command,
+    count,
+    named,
+    natural,
+    positive,
+    share,
+    workers_arguments,
+)
+from learn2assemble.errors import InputError, MissingExtraError
+from learn2assemble.tasks.search.config import SEARCHES, TO_THE_END
+
+if TYPE_CHECKING:
+    from learn2assemble.cli.output import Output
+
+COMMANDS: dict[str, Command] = {}
+AGENT_HELP = "shipped agent, .safetensors or run folder"
+
+
+# ---------------------------------------------------------------- train
+
+
+@command(
+    COMMANDS,
+    "train",
+    "train an agent",
+    "l2a train two-sided-3x3-20-24 --out runs/first --minutes 15",
+    arg("task", metavar="TASK"),
+    arg("--method", default=None, help="learner: dqn, q-mcts or eps-mcts"),
+    arg(
+        "--config",
+        default="relational",
+        help="relational, relational-objects (ours), published or paper",
+    ),
+    arg("--out", type=named, required=True, help="new or empty folder, or --resume"),
+    arg("--minutes", type=positive, default=None, help="stop after so long"),
+    arg("--samples", type=count, default=None, help="environment steps (the configuration's)"),
+    arg("--seed", type=natural, default=None, help="of everything random (0)"),
+    arg("--seeds", type=count, default=None, help="train so many agents: OUT-s0, OUT-s1, ..."),
+    lambda parser: workers_arguments(parser, "trainings at once, with --seeds (1)"),
+    arg("--device", default="auto", help="auto, cpu or cuda"),
+    arg("--threads", type=count, default=None, help="CPU threads of PyTorch"),
+    arm_argument,
+    arg("--init", default=None, help="agent whose weights to start from"),
+    arg("--resume", action="store_true", help="go on with the run in --out"),
+    arg(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change one setting, e.g. learning_rate=1e-3 or network.heads=1",
+    ),
+    learns=True,
+)
+def _train(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.tasks.learning.run import train, train_seeds
+
+    chosen = asked(train, options, "task", "out") | {"settings": options.set}
+    if options.seeds is not None:
+        runs = train_seeds(
+            options.task,
+            options.out,
+            seeds=options.seeds,
+            workers=options.workers or 1,
+            ray=options.ray,
+            progress=output.progress,
+            **chosen,
+        )
+        names = sorted({name for run in runs for name in run.metrics})
+        output.table(
+            f"{runs[0].task} ({runs[0].config})",
+            ("agent", *names),
+            [
+                (run.out.name, *[run.metrics.get(name, float("nan")) for name in names])
+                for run in runs
+            ],
+        )
+        output.finish(
+            {
+                "task": runs[0].task,
+                "runs": [{"out": str(run.out), **run.metrics} for run in runs],
+            }
+        )
+        return
+    if options.workers or options.ray:
+        raise InputError("--workers or --ray", "given", "--seeds N beside it")
+    run = train(options.task, options.out, **chosen)
+    output.table(f"{run.task} ({run.config})", ("quantity", "value"), list(run.metrics.items()))
+    output.say(f"agent: {options.out / 'agent.safetensors'}")
+    output.finish({"task": run.task, "out": str(options.out), **run.metrics})
+
+
+# ---------------------------------------------------------------- eval
+
+
+def _rollout(text: str) -> int:
+    return TO_THE_END if text == "end" else count(text)
+
+
+@command(
+    COMMANDS,
+    "eval",
+    "play whole episodes and report the paper's metrics",
+    "l2a eval two-sided-3x3-20-24 --search mcts --budget 10 --epsilon 0.05 --episodes 100",
+    arg("task", metavar="TASK"),
+    arg("--agent", default=None, help=AGENT_HELP),
+    arg(
+        "--search", choices=("none", *SEARCHES), default="none", help=f"none, {', '.join(SEARCHES)}"
+    ),
+    arg("--budget", type=natural, default=None, help="the search's own: mostly 10"),
+    arg(
+        "--rollout", type=_rollout, default=None, help="steps, or 'end'; the search's own: mostly 1"
+    ),
+    arg(
+        "--distinct",
+        action="store_true",
+        default=None,
+        help="expand one of several placements that lead to the same structure (ours, D14)",
+    ),
+    arg("--legacy", action="store_true", help="search in copies with the published restore faults"),
+    arg("--epsilon", type=share, default=None, help="the search's own: 0.05"),
+    arg("--episodes", type=count, default=100),
+    arg("--seed", type=natural, default=0),
+    arg(
+        "--physics",
+        default=None,
+        help="what checks placements: static or rigid; with an arm these stand for its kinematic "
+        "workcell, and dynamic and published are others",
+    ),
+    arm_argument,
+    arg("--out", type=named, default=None, help="write the result to this file"),
+    learns=True,
+)
+def _evaluate(options: argparse.Namespace, output: Output) -> None:
+    from tqdm import tqdm
+
+    from learn2assemble.tasks.evaluation.episodes import SEARCH_MODELS, evaluate
+    from learn2assemble.tasks.task import get_task
+
+    task = get_task(options.task, options.arm)
+    check_new_file(options.out)
+    if options.legacy and options.search == "none":
+        raise InputError("--legacy", "given", "--search NAME beside it")
+    with tqdm(total=options.episodes, unit=" episodes", desc=task.name, delay=1) as bar:
+
+        def advance(done: int) -> None:
+            bar.update(done - bar.n)
+
+        result = evaluate(
+            task,
+            **asked(evaluate, options, "task", "arm"),
+            search_model=SEARCH_MODELS["published"] if options.legacy else None,
+            progress=advance,
+        )
+    write_result(options.out, result.to_dict())
+    output.table(task.name, ("metric", "value"), list(result.metrics.to_dict().items()))
+    output.finish(result.to_dict())
+
+
+# ---------------------------------------------------------------- bench, tasks
+
+
+@command(
+    COMMANDS,
+    "bench",
+    "measure the speed of this machine",
+    "l2a bench --seconds 2",
+    arg("--seconds", type=positive, default=2.0, help="per measurement"),
+)
+def _bench(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.benchmark import MEASUREMENTS, machine
+
+    results: dict[str, float] = {}
+    left: dict[str, list[str]] = {}
+    for name, measure in MEASUREMENTS.items():
+        output.progress(f"measuring {name}")
+        try:
+            results[name] = measure(options.seconds)
+        except MissingExtraError as error:
+            left.setdefault(str(error), []).append(name)
+    for reason, names in left.items():
+        output.progress(f"left out {', '.join(names)}: {reason}")
+    rows = [(k, f"{v:,.3g}" if v < 10 else f"{v:,.1f}") for k, v in results.items()]
+    output.table("speed", ("measurement", "value"), rows)
+    output.finish({**results, "seconds": options.seconds, **machine()})
+
+
+@command(COMMANDS, "tasks", "list the tasks and their agents", "l2a tasks", learns=True)
+def _tasks(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.tasks.networks.agent import agent_files, agent_info
+    from learn2assemble.tasks.task import DESIGN_TASKS, GOAL_TASKS, PRESETS
+
+    agents: dict[str, list[str]] = {}
+    for name in agent_files():
+        agents.setdefault(agent_info(name)["task"], []).append(name)
+    rows: list[dict[str, Any]] = []
+    for name, task in PRESETS.items():
+        low, high = task.block_range
+        rows.append(
+            {
+                "name": name,
+                "sides": task.num_sides,
+                "grid": task.grid,
+                "nodes": task.num_nodes,
+                "blocks": [low, high],
+                "objects": task.objects,
+                "arm": task.arm,
+                "actions": task.num_actions,
+                "discount": task.discount,
+                "success_threshold": task.success_threshold,
+                "agents": agents.get(name, []),
+            }
+        )
+    _list(output, "task", ("sides", "grid", "nodes", "blocks", "objects", "arm", "agents"), rows)
+    designs: list[dict[str, Any]] = [
+        {
+            "name": name,
+            "families": list(task.families),
+            "kit": task.kit,
+            "blocks": list(task.blocks),
+            "limited_heap": task.limited_heap,
+        }
+        for name, task in DESIGN_TASKS.items()
+    ]
+    _list(output, "task of designs", ("families", "kit", "blocks", "heap"), designs)
+    goals = {name: task.goals for name, task in GOAL_TASKS.items()}
+    output.table("", ("task of goals", "goals"), list(goals.items()))
+    output.finish({"tasks": rows, "designs": designs, "goals": goals})
+
+
+_SHOWN: dict[str, Callable[[dict[str, Any]], object]] = {
+    "grid": lambda row: f"{row['grid']}x{row['grid']}",
+    "blocks": lambda row: "{}-{}".format(*row["blocks"]),
+    "agents": lambda row: ", ".join(row["agents"]) or "-",
+    "families": lambda row: ", ".join(row["families"]),
+    "heap": lambda row: "exact" if row["limited_heap"] else "no limit",
+}
+"""What a table shows of a task, where it is not the value as it is."""
+
+
+def _list(output: Output, what: str, columns: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
+    names = ("name", *columns)
+    shown = [[_SHOWN[k](row) if k in _SHOWN else row[k] for k in names] for row in rows]
+    output.table("", (what, *columns), shown)
