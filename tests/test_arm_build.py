@@ -21,7 +21,8 @@ from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene
 from learn2assemble.simulation.cell import DynamicCell, play
 from learn2assemble.tasks import episode
-from learn2assemble.tasks.episode import RealCell, build_task, left_to_build, sample_problem
+from learn2assemble.tasks.episode import build_task, sample_problem
+from learn2assemble.tasks.standing import RealCell, left_to_build
 from learn2assemble.tasks.task import get_task
 from learn2assemble.viewer.playback import Playback, block_of_cell
 

@@ -12,16 +12,11 @@ from learn2assemble.errors import InputError
 from learn2assemble.planning.plan import Plan
 from learn2assemble.statics.rigid_blocks import check
 from learn2assemble.tasks import episode
-from learn2assemble.tasks.episode import (
-    STAGES,
-    build_task,
-    placement_key,
-    plan_episode,
-    sample_problem,
-)
+from learn2assemble.tasks.episode import build_task, sample_problem
 from learn2assemble.tasks.networks.agent import Agent, load_agent
 from learn2assemble.tasks.networks.config import NetworkConfig
 from learn2assemble.tasks.networks.qnetwork import QNetwork
+from learn2assemble.tasks.playing import STAGES, placement_key, plan_episode
 from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.task import get_task
 from learn2assemble.tasks.world.state import State

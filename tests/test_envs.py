@@ -24,7 +24,8 @@ from hypothesis import strategies as st
 
 from learn2assemble.constants import EDGE
 from learn2assemble.envs import assembly, env_id, register_all
-from learn2assemble.envs.assembly import COLOURS, SCALE, AssemblyEnv, AssemblyVectorEnv
+from learn2assemble.envs.assembly import AssemblyEnv, AssemblyVectorEnv
+from learn2assemble.envs.drawing import COLOURS, SCALE
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.tasks.graph.features import Graph, connectivity
 from learn2assemble.tasks.physics.protocol import Verdict

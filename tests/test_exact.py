@@ -12,22 +12,24 @@ from hypothesis import strategies as st
 from l2a_lab import bounds
 from l2a_lab.bounds import (
     MAX_COLUMN,
-    Inventory,
-    Lattice,
     best_return,
     cell_pixels,
-    discounted_bound,
     find_towers,
-    gaining_poses,
     gains,
     is_in_reach,
-    most_pixels,
-    object_return_bound,
     return_bound,
-    state_inventory,
-    state_lattice,
     sweep,
     tower_bound,
+)
+from l2a_lab.object_bounds import (
+    Inventory,
+    Lattice,
+    discounted_bound,
+    gaining_poses,
+    most_pixels,
+    object_return_bound,
+    state_inventory,
+    state_lattice,
     turned,
 )
 from learn2assemble.constants import EDGE, HALF

@@ -11,7 +11,6 @@ import pytest
 from l2a_lab.bullet.cell import OPENING, PublishedCell, published_rules
 from l2a_lab.bullet.contacts import (
     BREAKING,
-    FIRST,
     REST,
     accelerate,
     contact_points,
@@ -21,6 +20,7 @@ from l2a_lab.bullet.contacts import (
     update_manifolds,
     wake,
 )
+from l2a_lab.bullet.resolution import FIRST
 from l2a_lab.bullet.world import (
     HOME,
     TIMESTEP,

@@ -13,7 +13,6 @@ import pytest
 import torch
 
 from l2a_lab import curves as curves_module
-from l2a_lab.commands import _around
 from l2a_lab.curves import (
     FIGURES,
     decision_time,
@@ -23,6 +22,7 @@ from l2a_lab.curves import (
     time_to,
     timed_names,
 )
+from l2a_lab.numbers import load_table
 from l2a_lab.recipes import (
     RECIPES,
     Recipe,
@@ -31,7 +31,8 @@ from l2a_lab.recipes import (
     stage_folder,
     train_recipes,
 )
-from l2a_lab.report import QUICK, compact_markdown, load_table
+from l2a_lab.report import QUICK, compact_markdown
+from l2a_lab.table_command import _around
 from l2a_lab.tables import TABLES, get_table
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError, UnknownNameError

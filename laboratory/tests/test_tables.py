@@ -15,56 +15,35 @@ import torch
 
 from l2a_lab import report as published_module
 from l2a_lab.bounds import best_return, return_bound
+from l2a_lab.cell_jobs import Job, jobs, row_cells, run_jobs, share_size, stale
 from l2a_lab.cells import (
     BOUND,
     Cell,
-    Job,
     agent_hash,
     farther_view,
     find_agents,
     is_current,
-    jobs,
     measure,
     mended_policy,
     read_result,
-    row_cells,
-    run_jobs,
-    share_size,
-    stale,
     write_result,
 )
-from l2a_lab.recipes import RECIPES
-from l2a_lab.report import (
+from l2a_lab.numbers import (
     NOT_AVAILABLE,
     NOT_MEASURED,
     NOT_TRAINED,
-    QUICK,
     Entry,
     Published,
     Summary,
     TableData,
-    against_paper,
-    below_paper,
-    compact_markdown,
-    fails_more,
     load_table,
-    markdown,
     published,
     student,
 )
-from l2a_lab.tables import (
-    BUILDER,
-    LOOK_AHEAD,
-    RANDOM,
-    SHIPPED,
-    TABLES,
-    UNTRAINED,
-    Column,
-    Condition,
-    Row,
-    Table,
-    get_table,
-)
+from l2a_lab.recipes import RECIPES
+from l2a_lab.report import QUICK, against_paper, below_paper, compact_markdown, fails_more, markdown
+from l2a_lab.table import LOOK_AHEAD, RANDOM, UNTRAINED, Column, Condition, Row, Table
+from l2a_lab.tables import BUILDER, SHIPPED, TABLES, get_table
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.tasks.evaluation.episodes import (
     episode_generators,

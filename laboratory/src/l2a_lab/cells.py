@@ -18,13 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from l2a_lab.bounds import best_returns, has_bound
+from l2a_lab.bounds import best_returns
 from l2a_lab.builder.network import builder_files
-from l2a_lab.tables import FARTHER, LOOK_AHEAD, MENDED, RANDOM, Row, Table
+from l2a_lab.table import FARTHER, LOOK_AHEAD, MENDED, RANDOM
 from learn2assemble.errors import InputError, extra
 from learn2assemble.files import check_exists, write_file
 from learn2assemble.tasks.evaluation.episodes import (
-    BATCH,
     DISCOUNTS,
     Policy,
     episode_generators,
@@ -35,7 +34,7 @@ from learn2assemble.tasks.evaluation.episodes import (
     random_policy,
 )
 from learn2assemble.tasks.learning.run import provenance
-from learn2assemble.tasks.networks.agent import Agent, agent_files, one_thread
+from learn2assemble.tasks.networks.agent import Agent, agent_files
 from learn2assemble.tasks.networks.config import NetworkConfig
 from learn2assemble.tasks.networks.placement import PlacementNetwork
 from learn2assemble.tasks.networks.qnetwork import QNetwork
@@ -46,7 +45,6 @@ from learn2assemble.tasks.task import Task
 from learn2assemble.tasks.world.state import State
 from learn2assemble.tasks.world_model import WorldModel, lookahead_actions
 from learn2assemble.values import from_plain
-from learn2assemble.workers import run_all
 
 with extra("torch", "learn"):
     import torch
@@ -55,15 +53,6 @@ BOUND = "bound"
 """The policy that does not play: upper bounds on the returns of the problems."""
 DIGITS = 6
 """Decimals kept of returns and coverages."""
-EPISODES = {"kinematic": 200, "dynamic": 100, "published": 100}
-"""Problems of a cell by its placement checker ..."""
-MANY_EPISODES = 1000
-"""... and with any other one, which costs far less."""
-SHARES = 5
-"""The problems of a cell are shared among so many agents: that of seed k plays the k-th share.
-
-An agent more brings more than more problems for the same one, and the interval over agents that
-played different problems holds for both."""
 
 
 VIEWS = (4, 5)
@@ -376,143 +365,3 @@ def agent_hash(weights: Path) -> str:
 
 def _info(weights: Path) -> Path:
     return weights.with_suffix(".json")
-
-
-SECONDS = {"static": 2e-5, "rigid": 4e-5, "kinematic": 4e-4, "dynamic": 1e-2}
-"""Of an episode without search, for each pair of nodes, by what checks placements [s]; others take
-as long as the slowest."""
-
-
-@dataclass(frozen=True)
-class Job:
-    """A cell to measure."""
-
-    cell: Cell
-    agent_file: str | None
-    agent_hash: str | None
-    episodes: int
-
-    @property
-    def cost(self) -> float:
-        """Rough share of the time, to start long jobs first."""
-        slow = 2.0 if self.cell.physics != "static" else 1.0
-        return self._work * slow * self.episodes
-
-    @property
-    def seconds(self) -> float:
-        """Very roughly how long it takes one process."""
-        physics = self.cell.physics
-        if self.cell.task.has_arm and physics in ("static", "rigid"):
-            physics = "kinematic"  # They stand for it.
-        return self._work * self.episodes * SECONDS.get(physics, max(SECONDS.values()))
-
-    @property
-    def _work(self) -> float:
-        """Of an episode: it grows with what a search tries and with the pairs of nodes."""
-        search = self.cell.search
-        tries = 1.0 if search is None else 1.0 + search.budget * min(search.rollout, 10)
-        return tries * self.cell.task.num_nodes**2
-
-
-def row_cells(table: Table, row: Row, column: int, agents: list[str]) -> list[Cell]:
-    """The cells of one row in one column, for all conditions and the given agents."""
-    if not row.played_in(column):
-        return []
-    task = table.columns[column].preset
-    names = shares(row, agents) if row.agents else {"": 0}
-    return [
-        Cell(
-            task,
-            row.policy,
-            name,
-            row.search_config(condition.epsilon),
-            condition.epsilon,
-            condition.physics,
-            share=share,
-        )
-        for condition in table.conditions
-        for name, share in names.items()
-    ]
-
-
-def shares(row: Row, agents: list[str]) -> dict[str, int]:
-    """The share of the problems that each of ``agents`` plays; of a single one all there are."""
-    return {name: row.seed(name) % SHARES if len(agents) > 1 else 0 for name in agents}
-
-
-def share_size(problems: int, count: int) -> int:
-    """Problems of each of ``count`` shares: at least ``problems`` together, in whole batches, so
-    that the first share of an agent is the beginning of all its episodes."""
-    size = -(-problems // count)
-    return size if count == 1 or size < BATCH else -(-size // BATCH) * BATCH
-
-
-def jobs(
-    table: Table,
-    agents: dict[str, Path],
-    episodes: int | None = None,
-    max_agents: int | None = None,
-) -> list[Job]:
-    """Everything a table is made of, every cell once.
-
-    Args:
-        agents: name and weights of the agents there are.
-        episodes: of every row in every column; by default :data:`EPISODES`.
-        max_agents: at most so many of a row, the lowest numbers.
-    """
-    cells: dict[str, Cell] = {}
-    count: dict[str, int] = {}
-    for row in table.rows:
-        names = row.pick(agents)[:max_agents]
-        number = len(set(shares(row, names).values())) or 1
-        for column in range(len(table.columns)):
-            for cell in row_cells(table, row, column, names):
-                cells[cell.path] = cell
-                problems = episodes or EPISODES.get(cell.physics, MANY_EPISODES)
-                count[cell.path] = share_size(problems, number)
-    for path, cell in list(cells.items()):
-        if has_bound(cell.task):
-            # Of as many problems as any policy plays.
-            bound = Cell(cell.task, BOUND, seed=cell.seed)
-            cells[bound.path] = bound
-            end = (cell.share + 1) * count[path]
-            count[bound.path] = max(end, count.get(bound.path, 0))
-    hashes = {name: agent_hash(agents[name]) for name in {c.agent for c in cells.values()} if name}
-    return [
-        Job(
-            cell,
-            str(agents[cell.agent]) if cell.agent else None,
-            hashes.get(cell.agent),
-            count[path],
-        )
-        for path, cell in cells.items()
-    ]
-
-
-def stale(root: Path, wanted: list[Job]) -> list[Job]:
-    """Those without a current result below ``root``, the longest first."""
-    left = [j for j in wanted if not is_current(root, j.cell, j.agent_hash, j.episodes)]
-    return sorted(left, key=lambda job: -job.cost)
-
-
-def run_jobs(
-    root: Path,
-    todo: list[Job],
-    workers: int,
-    progress: Callable[[Job], None] = lambda job: None,
-    ray: str | None = None,
-) -> None:
-    """Measure and write every job; those done before an interruption stay.
-
-    Args:
-        workers, ray: see :func:`learn2assemble.workers.run_all`.
-        progress: called after each.
-    """
-    with one_thread():
-        for job, data in run_all(_do, todo, workers=workers, ray=ray):
-            write_result(root, job.cell, job.agent_hash, data)
-            progress(job)
-
-
-def _do(job: Job) -> dict[str, Any]:
-    return measure(job.cell, job.agent_file, job.episodes)

@@ -6,12 +6,12 @@ import argparse
 import dataclasses
 import importlib
 import math
-import os
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from l2a_lab.builder.commands import COMMANDS as BUILDERS
+from l2a_lab.table_command import prepare, run_table, table_arguments
 from learn2assemble.cli.output import check_new_file, write_result
 from learn2assemble.cli.parser import (
     Command,
@@ -19,16 +19,12 @@ from learn2assemble.cli.parser import (
     count,
     named,
     natural,
-    workers_arguments,
 )
 from learn2assemble.errors import InputError, check_name
-from learn2assemble.files import check_exists, check_output, read_text, write_file
+from learn2assemble.files import check_exists
 from learn2assemble.registry import Registry
 
 if TYPE_CHECKING:
-    from l2a_lab.cells import Job
-    from l2a_lab.report import TableData
-    from l2a_lab.tables import Table
     from learn2assemble.cli.output import Output
     from learn2assemble.tasks.evaluation.fidelities import Comparison
 
@@ -37,206 +33,6 @@ def register_command(commands: Registry[Command]) -> None:
     """Add the commands of the laboratory; all of them play or judge what was learned."""
     for name, command in {**_COMMANDS, **BUILDERS}.items():
         commands.register(name, dataclasses.replace(command, learns=True))
-
-
-# ---------------------------------------------------------------- table
-
-QUICK_EPISODES = 50
-
-
-def _table_arguments(parser: argparse.ArgumentParser) -> None:
-    from l2a_lab.tables import TABLES
-
-    add = parser.add_argument
-    add("name", metavar="NAME", help=", ".join(TABLES))
-    add("--out", type=named, default=Path("results"), help="folder of the results")
-    add(
-        "--episodes",
-        type=count,
-        default=None,
-        help="problems of a cell, in place of 1000 (200 and 100 with an arm)",
-    )
-    workers_arguments(parser, "processes (all cores)")
-    add(
-        "--quick",
-        action="store_true",
-        help="one agent a row and 50 episodes, into the folder quick below --out",
-    )
-    source = parser.add_mutually_exclusive_group()
-    source.add_argument(
-        "--agents",
-        type=named,
-        default=None,
-        help="folder of agents or runs (the shipped ones)",
-    )
-    source.add_argument(
-        "--train", action="store_true", help="first train all its agents in --runs, or go on"
-    )
-    source.add_argument(
-        "--from-files", action="store_true", help="measure nothing: print what --out holds"
-    )
-    add("--runs", type=named, default=Path("runs"), help="folder of --train")
-    add("--into", type=named, default=None, help="also put the main numbers into this page")
-
-
-def _run_table(options: argparse.Namespace, output: Output) -> None:
-    from l2a_lab import cells, report
-    from l2a_lab.tables import get_table
-
-    table = get_table(options.name)
-    page: Path | None = options.into
-    around = ("", "") if page is None else _around(page, table)
-    root: Path = options.out / "quick" if options.quick else options.out
-    workers: int = options.workers or os.cpu_count() or 1
-    most = 1 if options.quick else None
-    agents = {} if options.train or options.from_files else cells.find_agents(options.agents)
-    _prepare(root)
-    if options.quick:
-        output.progress(report.QUICK)
-    if options.train:
-        from l2a_lab.recipes import RECIPES, copy_logs, train_recipes
-
-        wanted = [RECIPES[name] for name in table.stems if name in RECIPES]
-        train_recipes(
-            wanted,
-            options.runs,
-            seeds=most,
-            workers=workers,
-            ray=options.ray,
-            progress=output.progress,
-        )
-        copy_logs(wanted, options.runs, root / "runs")
-        agents = cells.find_agents(options.runs)
-    todo: list[Job] = []
-    if not options.from_files:
-        episodes = options.episodes or (QUICK_EPISODES if options.quick else None)
-        jobs = cells.jobs(table, agents, episodes, most)
-        todo = cells.stale(root, jobs)
-        output.progress(f"{len(jobs)} cells, {len(todo)} to measure{_words(todo, workers)}")
-        _measure(root, todo, options.name, workers, options.ray)
-    data = report.load_table(table, root, options.quick)
-    files = _write(data, root)
-    if page is not None:
-        write_file(page, report.compact_markdown(data).join(around), "--into")
-        files["page"] = page
-    _print(output, data, files)
-    output.finish(_summary(data, len(todo), files))
-
-
-def _words(todo: list[Job], workers: int) -> str:
-    """What is about to be measured, and how long that takes."""
-    if not todo:
-        return ""
-    episodes, tasks = sum(job.episodes for job in todo), {job.cell.task.name for job in todo}
-    hours = sum(job.seconds for job in todo) / workers / 3600
-    long = f"{hours:.1f} hours" if hours >= 1 else f"{max(60 * hours, 1):.0f} minutes"
-    return (
-        f": {episodes} episodes on {len(tasks)} tasks, roughly {long} with {workers} processes; "
-        "--quick measures less, --from-files nothing"
-    )
-
-
-def _prepare(folder: Path) -> None:
-    """Make a folder of results, before hours of work."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = error.strerror or "unwritable"
-        raise InputError("--out", str(folder), f"a writable folder ({reason})") from None
-
-
-def _measure(root: Path, todo: list[Job], name: str, workers: int, ray: str | None) -> None:
-    from tqdm import tqdm
-
-    from l2a_lab import cells
-
-    if not todo:
-        return
-    total = round(sum(job.cost for job in todo))
-    with tqdm(
-        total=total,
-        desc=name,
-        unit="",
-        unit_scale=True,
-        dynamic_ncols=True,
-        bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed}<{remaining} {postfix}",
-    ) as bar:
-        done = 0
-
-        def advance(job: Job) -> None:
-            nonlocal done
-            done += 1
-            bar.set_postfix_str(f"{done}/{len(todo)} cells, last: {job.cell.path[6:]}")
-            bar.update(round(job.cost))
-
-        cells.run_jobs(root, todo, workers, advance, ray)
-
-
-def _write(data: TableData, root: Path) -> dict[str, Path]:
-    from l2a_lab import curves, report
-
-    name, title = data.table.name, data.table.title
-    _prepare(root / "tables")
-    files = {
-        kind: root / "tables" / f"{name}{ending}"
-        for kind, ending in (("markdown", ".md"), ("picture", ".png"))
-    }
-    write_file(files["markdown"], report.markdown(data), "--out")
-    title = f"{name}  {title}{'  (quick look)' if data.quick else ''}"
-    curves.write_table(title, report.sections(data), report.notes(data), files["picture"])
-    return files
-
-
-def _print(output: Output, data: TableData, files: dict[str, Path]) -> None:
-    from l2a_lab import report
-
-    output.say(f"{data.table.name}: {data.table.title}")
-    for section in report.sections(data, brief=True):
-        output.say("")
-        output.table(section.title, report.headings(section, "\n"), section.rows)
-    output.say("")
-    for note in report.notes(data):
-        output.say(note)
-    if data.left_out:
-        output.say(f"not measured yet: {len(data.left_out)} cells")
-    for path in files.values():
-        output.say(str(path))
-
-
-def _summary(data: TableData, measured: int, files: dict[str, Path]) -> dict[str, Any]:
-    rows = [
-        {
-            "task": entry.column.name,
-            "method": entry.row.name,
-            "state": entry.state or "measured",
-            "paper": entry.paper and dataclasses.asdict(entry.paper),
-            "ours": [
-                {**dataclasses.asdict(condition), **dataclasses.asdict(summary)}
-                for condition, summary in entry.results.items()
-            ],
-        }
-        for line in data.entries
-        for entry in line
-    ]
-    return {
-        "table": data.table.name,
-        "quick": data.quick,
-        "measured": measured,
-        "rows": rows,
-        "files": {name: str(path) for name, path in files.items()},
-    }
-
-
-def _around(path: Path, table: Table) -> tuple[str, str]:
-    """What stands in a page before a table and after it, the lines that mark its place included."""
-    begin, end = (f"<!-- table {table.name}: {word} -->" for word in ("begin", "end"))
-    check_exists(path, "page for --into")
-    check_output(path, "--into")
-    text, _ = read_text(path, "page for --into")
-    head, _, rest = text.partition(begin)
-    if text.count(begin) != 1 or end not in rest:
-        raise InputError("--into", str(path), f"a file with the lines {begin} and {end}")
-    return f"{head}{begin}\n", f"\n{end}{rest.partition(end)[2]}"
 
 
 # ---------------------------------------------------------------- curves
@@ -257,13 +53,14 @@ def _curves_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run_scaling(options: argparse.Namespace, output: Output) -> None:
     from l2a_lab import curves
+    from l2a_lab.drawing import write_curves
     from l2a_lab.measured import measure
 
-    _prepare(options.out)
+    prepare(options.out)
     found = measure(curves.TIMES, options.out / "decisions.json", progress=output.say)
     rows = curves.load_scaled(options.out.parent, found["entries"])
     path: Path = options.out / f"{curves.SIZES}.png"
-    curves.write_curves(
+    write_curves(
         "Targets larger than those of training (DQN: 3x3, ours: 5x5)",
         rows,
         f"ε = 0. Decisions: of one core, worlds a third built, {curves.TIMED_WORLDS} at a time.",
@@ -286,13 +83,8 @@ def _run_scaling(options: argparse.Namespace, output: Output) -> None:
 
 
 def _run_curves(options: argparse.Namespace, output: Output) -> None:
-    from l2a_lab.curves import (
-        FIGURES,
-        SIZES,
-        load_curves,
-        time_to,
-        write_curves,
-    )
+    from l2a_lab.curves import FIGURES, SIZES, load_curves, time_to
+    from l2a_lab.drawing import write_curves
 
     if options.name == SIZES:
         return _run_scaling(options, output)
@@ -301,7 +93,7 @@ def _run_curves(options: argparse.Namespace, output: Output) -> None:
     curves = load_curves(figure, options.runs)
     reached = time_to(figure, options.runs)
     path: Path = options.out / f"{figure.name}.png"
-    _prepare(options.out)
+    prepare(options.out)
     note = (
         "Training episodes, exploration included; mean over agents, band from the lowest to the "
         "highest, smoothed. " + figure.note
@@ -518,7 +310,7 @@ def _figures(module: str, title: str, help: str, example: str) -> Command:
         from l2a_lab.measured import measure
 
         figures = importlib.import_module(f"l2a_lab.{module}").FIGURES
-        _prepare(options.out.parent)
+        prepare(options.out.parent)
         found = measure(
             figures,
             options.out,
@@ -567,7 +359,7 @@ def _run_workbenchmark(options: argparse.Namespace, output: Output) -> None:
         tiers = ", ".join(sorted({name.split("/")[0] for name in names}))
         raise InputError("--only", only, f"a tier ({tiers}) or a task such as {names[0]}")
     out: Path = options.out or Path(f"results/workbenchmark-{options.physics}.json")
-    _prepare(out.parent)
+    prepare(out.parent)
     found = measure(
         dataclasses.replace(figures, names=lambda: wanted),
         out,
@@ -627,8 +419,8 @@ _COMMANDS = {
     "table": Command(
         "measure a table of the paper and print it beside the paper's numbers",
         "l2a-lab table T2",
-        _table_arguments,
-        _run_table,
+        table_arguments,
+        run_table,
     ),
     "curves": Command(
         "draw learning curves", "l2a-lab curves algorithms", _curves_arguments, _run_curves

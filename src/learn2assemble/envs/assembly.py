@@ -18,27 +18,15 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from numba import njit
 from numpy.typing import ArrayLike
 
-from learn2assemble.constants import EDGE, HALF
+from learn2assemble.envs.actions import expand_mask, num_flat_actions, resolve_actions
+from learn2assemble.envs.drawing import draw_image, draw_text
 from learn2assemble.errors import InputError, UnknownNameError, is_whole
 from learn2assemble.tasks.graph.features import NUM_FEATURES, POSITION
 from learn2assemble.tasks.physics.protocol import Physics, Verdict
 from learn2assemble.tasks.simulator import Simulator, Transition
 from learn2assemble.tasks.task import Task, get_task
-from learn2assemble.tasks.world.coverage import (
-    HALF_EXTENT,
-    IMAGE_SIZE,
-    NARROW,
-    ROWS,
-    WORDS,
-    DepthFilter,
-    clear_to_ground,
-    project,
-    to_pixels,
-)
-from learn2assemble.tasks.world.state import State
 
 WAITING_REACH = 1.25
 """No waiting block and no target is farther from the origin than this along an axis [m]."""
@@ -49,11 +37,6 @@ _VERDICTS = {verdict.value: verdict.name for verdict in Verdict}
 
 
 # ---------------------------------------------------------------- spaces and actions
-
-
-def num_flat_actions(task: Task) -> int:
-    """N * N * Na, the size of the flat action space and of both masks."""
-    return task.num_nodes * task.num_nodes * task.num_actions
 
 
 def observation_space(task: Task) -> spaces.Dict:
@@ -81,190 +64,7 @@ def observation_space(task: Task) -> spaces.Dict:
     )
 
 
-def flatten_action(task: Task, i, j, k):
-    """(i, j, k) to the flat index; integers or arrays of one shape."""
-    return (i * task.num_nodes + j) * task.num_actions + k
-
-
-def unflatten_action(task: Task, action):
-    """Flat index to (i, j, k); an integer or an array."""
-    pair, k = divmod(action, task.num_actions)
-    i, j = divmod(pair, task.num_nodes)
-    return i, j, k
-
-
-# These two take single fields: handing a whole State to compiled code costs more than the work.
-@njit(cache=True)
-def _resolve(num_vertices, num_placed, num_blocks, flat, num_nodes, num_actions, actions, clipped):
-    for row in range(len(flat)):
-        targets = num_vertices[row].sum()
-        placed, blocks = num_placed[row], num_blocks[row]
-        pair = flat[row] // num_actions
-        i, j = pair // num_nodes - targets - placed, pair % num_nodes - targets
-        unplaced = max(min(i, blocks - placed - 1), 0)
-        reference = max(min(j, placed - 1), 0)
-        actions[row, 0], actions[row, 1] = unplaced, reference
-        actions[row, 2] = flat[row] % num_actions
-        clipped[row] = unplaced != i or reference != j
-
-
-@njit(cache=True)
-def _fill(num_vertices, num_placed, num_blocks, terminated, allowed, mask):
-    last = allowed.shape[1] - 1
-    for row in range(len(mask)):
-        if terminated[row]:
-            continue
-        targets = num_vertices[row].sum()
-        placed, blocks = num_placed[row], num_blocks[row]
-        for i in range(targets + placed, targets + blocks):
-            for j in range(placed):
-                for k in range(mask.shape[3]):
-                    mask[row, i, targets + j, k] = allowed[
-                        row, min(i - targets - placed, last), j, k
-                    ]
-
-
-def resolve_actions(task: Task, state: State, flat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Flat actions to what :meth:`Simulator.step` wants, clipped like the published code.
-
-    An i outside the unplaced nodes becomes the nearest of them, likewise j and the placed nodes.
-
-    Args:
-        flat: int64[B], each in ``0..N*N*Na-1``.
-
-    Returns:
-        int64[B, 3] (number of the unplaced block, number of the reference block, action) and
-        bool[B], where clipping changed the action.
-    """
-    actions = np.empty((len(flat), 3), np.int64)
-    clipped = np.empty(len(flat), np.bool_)
-    _resolve(
-        state.num_vertices,
-        state.num_placed,
-        state.num_blocks,
-        flat,
-        task.num_nodes,
-        task.num_actions,
-        actions,
-        clipped,
-    )
-    return actions, clipped
-
-
-def expand_mask(task: Task, state: State, allowed: np.ndarray) -> np.ndarray:
-    """A mask over placements as a mask over flat actions.
-
-    Args:
-        allowed: bool[B, M, Na] over (reference, action), where any unplaced block may go, or
-            bool[B, M, M, Na] over (unplaced block, reference, action); see
-            :meth:`Simulator.physics_mask`.
-
-    Returns:
-        bool[B, N * N * Na]; all False for worlds that have ended.
-    """
-    n = task.num_nodes
-    mask = np.zeros((state.batch_size, n, n, task.num_actions), np.bool_)
-    if allowed.ndim == 3:
-        allowed = allowed[:, None]
-    _fill(state.num_vertices, state.num_placed, state.num_blocks, state.terminated, allowed, mask)
-    return mask.reshape(state.batch_size, -1)
-
-
 # ---------------------------------------------------------------- drawings
-
-
-COLOURS = {
-    "background": (255, 255, 255),
-    "ground": (160, 140, 120),
-    "outside": (130, 150, 185),
-    "target": (205, 205, 205),
-    "hidden": (235, 155, 60),
-    "filled": (60, 145, 75),
-}
-"""RGB: nothing, ground, block off the target, target still open, target covered by a block that
-does not stand in its plane, target filled."""
-SCALE = 3
-"""Side of a rendered pixel in screen pixels."""
-_REACH = int(HALF_EXTENT / EDGE)
-"""Cells between the middle of an elevation and the edge of its image."""
-
-
-def draw_text(state: State, frames: np.ndarray, row: int, pitch: float = EDGE) -> str:
-    """The elevations of one world side by side, one character per block cell, ground below.
-
-    ``#`` block on the target, ``x`` block in the plane but off the target, ``o`` block in front
-    of the plane, ``.`` target still open.
-
-    Args:
-        pitch: horizontal distance of the centres of neighbouring cells [m].
-    """
-    mask, covered = to_pixels(state.mask[row]), to_pixels(state.covered[row])
-    placed = state.position[row, : state.num_placed[row]]
-    sides = zip(frames, mask, mask & ~covered, strict=True)
-    cells = [_cells(frame, placed, target, still, pitch) for frame, target, still in sides]
-    reach = max((abs(c) for side in cells for c, _ in side), default=0)
-    height = max((r for side in cells for _, r in side), default=0) + 1
-    columns = range(-reach, reach + 1)
-    lines = [
-        "   ".join("".join(side.get((c, r), " ") for c in columns) for side in cells)
-        for r in reversed(range(height))
-    ]
-    ground = "   ".join("=" * len(columns) for _ in cells)
-    head = (
-        f"placed {state.num_placed[row]}/{state.num_blocks[row]}  "
-        f"F_co {state.complete_coverage[row]:.4f}  F_pl {state.plane_coverage[row]:.4f}"
-    )
-    return "\n".join(line.rstrip() for line in [head, *lines, ground])
-
-
-def draw_image(state: State, row: int, depths: DepthFilter = NARROW) -> np.ndarray:
-    """The elevations of one world side by side as uint8[300, 300 S, 3]; see :data:`COLOURS`."""
-    mask, covered = to_pixels(state.mask[row]), to_pixels(state.covered[row])
-    occluded = to_pixels(state.occluded[row])
-    image = np.empty((*mask.shape, 3), np.uint8)
-    image[:] = COLOURS["background"]
-    image[covered] = COLOURS["outside"]
-    image[:, _ground(depths)] = COLOURS["ground"]
-    image[mask] = COLOURS["target"]
-    image[mask & occluded] = COLOURS["hidden"]
-    image[mask & covered & ~occluded] = COLOURS["filled"]
-    return np.concatenate(image, 1).repeat(SCALE, 0).repeat(SCALE, 1)
-
-
-def _ground(depths: DepthFilter) -> np.ndarray:
-    covered = np.zeros((ROWS, WORDS), np.uint64)
-    clear_to_ground(covered, np.zeros_like(covered), depths)
-    return to_pixels(covered)
-
-
-def _cells(
-    frame: np.ndarray, placed: np.ndarray, mask: np.ndarray, open_pixels: np.ndarray, pitch: float
-) -> dict[tuple[int, int], str]:
-    """Characters of one elevation by (column from the middle, row from the ground)."""
-    cells: dict[tuple[int, int], str] = {}
-    for c in range(-_REACH, _REACH + 1):
-        for r in range(2 * _REACH):
-            if _pixels(open_pixels, c, r, pitch).any():
-                cells[c, r] = "."
-    cos, sin, tx, ty = frame
-    local = placed - (tx, ty, HALF)
-    x, y = cos * local[:, 0] + sin * local[:, 1], cos * local[:, 1] - sin * local[:, 0]
-    order = np.argsort(-y, kind="stable")  # a block in front is drawn over one behind it
-    for n in order:
-        if y[n] >= HALF:
-            continue
-        cell = round(x[n] / pitch), max(round(local[n, 2] / EDGE), 0)
-        on_target = "#" if _pixels(mask, *cell, pitch).any() else "x"
-        cells[cell] = on_target if y[n] > -HALF else "o"
-    return cells
-
-
-def _pixels(image: np.ndarray, column: int, row: int, pitch: float) -> np.ndarray:
-    """The part of an image that shows the face of one cell."""
-    u0, v0 = project(pitch * column - HALF, EDGE * (row + 1))
-    u1, v1 = project(pitch * column + HALF, EDGE * row)
-    u0, u1, v0, v1 = (min(max(round(e), 0), IMAGE_SIZE) for e in (u0, u1, v0, v1))
-    return image[v0:v1, u0:u1]
 
 
 # ---------------------------------------------------------------- environments

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from l2a_lab.bullet.contacts import HAND, TABLE
 from l2a_lab.bullet.inverse import solve_as_published
+from l2a_lab.bullet.resolution import HAND, TABLE
 from l2a_lab.bullet.world import (
     GRASP_STARTS,
     HOME,

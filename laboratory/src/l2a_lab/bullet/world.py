@@ -15,22 +15,18 @@ import numpy as np
 
 from l2a_lab.bullet.contacts import (
     BREAKING,
-    FIRST,
-    HAND,
     REST,
-    Drive,
-    Hold,
     Manifolds,
     accelerate,
     contact_points,
     empty_manifolds,
     integrate,
     inverse_mass_matrix,
-    resolve,
     touching_bodies,
     update_manifolds,
     wake,
 )
+from l2a_lab.bullet.resolution import FIRST, HAND, Drive, Hold, resolve
 from learn2assemble.constants import HALF, MASS
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import (

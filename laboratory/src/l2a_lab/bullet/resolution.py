@@ -1,0 +1,247 @@
+"""Impulses that keep bodies apart, joints in their limits and the hand at what it holds."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from learn2assemble.constants import FRICTION
+
+TABLE, HAND, FIRST = 0, 1, 2
+"""Bodies: the world, the hand, and the first of the free ones."""
+
+
+SWEEPS = 50
+
+
+CONTACT_SHARE, HOLD_SHARE, STOP_SHARE = 0.08, 0.2, 0.2
+"""Shares of a penetration, of an error of the hold and of an angle beyond a stop that go in a
+step."""
+
+
+MOTOR_SHARE = 0.1
+"""Share of the way to its command that a joint goes in a step."""
+
+
+SLOP = 1e-5
+"""Penetration that is left alone [m]."""
+
+
+RESIDUAL = 1e-7
+"""Squared change of a velocity below which the sweeps end."""
+
+
+class Contacts(NamedTuple):
+    """Points where bodies touch."""
+
+    first: np.ndarray
+    """int64[c]: body."""
+    second: np.ndarray
+    """int64[c]: body."""
+    end_1: np.ndarray
+    """float64[c, 3]: the point on the first body [m, world]."""
+    end_2: np.ndarray
+    """float64[c, 3]: on the second [m, world]."""
+    frame: np.ndarray
+    """float64[c, 3, 3]: rows the normal from first to second and two tangents, world frame."""
+    distance: np.ndarray
+    """float64[c]: negative where they overlap [m]."""
+
+
+class Drive(NamedTuple):
+    """The arm in this step; all arrays per joint."""
+
+    jacobian: np.ndarray
+    """float64[6, n] of the tool, world axes."""
+    inverse: np.ndarray
+    """float64[n, n] of the mass matrix."""
+    joints: np.ndarray
+    """[rad]."""
+    command: np.ndarray
+    """Where the motors want them [rad]."""
+    lower: np.ndarray
+    """[rad]."""
+    upper: np.ndarray
+    """[rad]."""
+    impulse: float
+    """Largest of a motor in a step [N m s]."""
+
+
+class Hold(NamedTuple):
+    """The constraint between hand and held object."""
+
+    body: int
+    """-1: the hand is empty."""
+    point: np.ndarray
+    """float64[3]: of the object, to be at the tool point [m, world]."""
+    error: np.ndarray
+    """float64[6]: shift [m] and rotation [rad] the object lacks, world axes."""
+
+
+@njit(cache=True)
+def _dot(a, b):
+    total = 0.0
+    for i in range(a.shape[0]):
+        total += a[i] * b[i]
+    return total
+
+
+@njit(cache=True)
+def _add(a, factor, b):
+    for i in range(a.shape[0]):
+        a[i] += factor * b[i]
+
+
+@njit(cache=True)
+def _wrench(direction, point, centre, sign, out):
+    """float64[6]: impulse of size ``sign`` along a direction at a point, about a centre."""
+    x, y, z = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
+    out[0], out[1], out[2] = sign * direction[0], sign * direction[1], sign * direction[2]
+    out[3] = y * out[2] - z * out[1]
+    out[4] = z * out[0] - x * out[2]
+    out[5] = x * out[1] - y * out[0]
+
+
+@njit(cache=True)
+def resolve(centre, twist, rates, inverse_mass, contacts, drive, hold, timestep):
+    """Changes twists and rates in place.
+
+    Args:
+        centre: float64[b, 3]: centres of mass; of the hand its tool point [m].
+        twist: float64[b, 6]: velocity of the centre [m/s] and spin [rad/s].
+        rates: float64[n] of the joints [rad/s].
+        inverse_mass: float64[b, 6, 6]: twist per impulse; 0 for what does not move. The hand's is
+            filled in here.
+        contacts: see :class:`Contacts`; drive: :class:`Drive`; hold: :class:`Hold`.
+        timestep: [s].
+    """
+    count, n = len(contacts.first), len(rates)
+    arm = drive.inverse @ drive.jacobian.T
+    inverse_mass[HAND] = drive.jacobian @ arm
+    hand_turn = np.ascontiguousarray(arm)
+    # Rows of contacts, then six of the hold: wrenches on both bodies, and what they do.
+    total = 3 * count + 6
+    one, two = np.zeros((total, 6)), np.zeros((total, 6))
+    effect_1, effect_2 = np.zeros((total, 6)), np.zeros((total, 6))
+    reach, mass, impulse = np.zeros((total, n)), np.zeros(total), np.zeros(total)
+    least = np.empty(count)
+    for c in range(count):
+        a, b = contacts.first[c], contacts.second[c]
+        for k in range(3):
+            row = 3 * c + k
+            _wrench(contacts.frame[c, k], contacts.end_1[c], centre[a], -1.0, one[row])
+            _wrench(contacts.frame[c, k], contacts.end_2[c], centre[b], 1.0, two[row])
+            effect_1[row], effect_2[row] = (inverse_mass[a] @ one[row], inverse_mass[b] @ two[row])
+            mass[row] = 1.0 / (_dot(one[row], effect_1[row]) + _dot(two[row], effect_2[row]))
+            if a == HAND:
+                reach[row] = arm @ one[row]
+            elif b == HAND:
+                reach[row] = arm @ two[row]
+        depth = contacts.distance[c] + SLOP
+        least[c] = -depth / timestep if depth > 0 else -CONTACT_SHARE * depth / timestep
+    first_hold, held = 3 * count, hold.body
+    if held >= 0:
+        axes = np.eye(3)
+        for k in range(6):
+            row = first_hold + k
+            if k < 3:
+                _wrench(axes[k], hold.point, centre[HAND], -1.0, one[row])
+                _wrench(axes[k], hold.point, centre[held], 1.0, two[row])
+            else:
+                one[row, k], two[row, k] = -1.0, 1.0
+            effect_1[row], effect_2[row] = (
+                inverse_mass[HAND] @ one[row],
+                inverse_mass[held] @ two[row],
+            )
+            reach[row] = arm @ one[row]
+            mass[row] = 1.0 / (_dot(one[row], effect_1[row]) + _dot(two[row], effect_2[row]))
+    motor, stop = np.zeros(n), np.zeros(n)
+    for sweep in range(SWEEPS):
+        change = 0.0
+        guided = 2 * n + (6 if held >= 0 else 0)
+        for number in range(guided):
+            # Motors, stops, hold, and every other time backwards.
+            index = number if sweep % 2 else guided - 1 - number
+            if index < 2 * n:
+                moved = _joint(index, drive, rates, twist[HAND], hand_turn, motor, stop, timestep)
+            else:
+                k = index - 2 * n
+                row = first_hold + k
+                now = _dot(one[row], twist[HAND]) + _dot(two[row], twist[held])
+                moved = HOLD_SHARE * hold.error[k] / timestep - now
+                extra = moved * mass[row]
+                _add(twist[HAND], extra, effect_1[row])
+                _add(twist[held], extra, effect_2[row])
+                _add(rates, extra, reach[row])
+            change = max(change, moved * moved)
+        for c in range(count):
+            a, b, row = contacts.first[c], contacts.second[c], 3 * c
+            now = _dot(one[row], twist[a]) + _dot(two[row], twist[b])
+            new = max(impulse[row] + (least[c] - now) * mass[row], 0.0)
+            extra = new - impulse[row]
+            if extra != 0:
+                impulse[row] = new
+                _apply(a, b, extra, effect_1[row], effect_2[row], reach[row], twist, rates)
+                change = max(change, (extra / mass[row]) ** 2)
+        for c in range(count):
+            row = 3 * c
+            if impulse[row] <= 0 and impulse[row + 1] == 0 and impulse[row + 2] == 0:
+                continue
+            a, b = contacts.first[c], contacts.second[c]
+            x = impulse[row + 1] - mass[row + 1] * (
+                _dot(one[row + 1], twist[a]) + _dot(two[row + 1], twist[b])
+            )
+            y = impulse[row + 2] - mass[row + 2] * (
+                _dot(one[row + 2], twist[a]) + _dot(two[row + 2], twist[b])
+            )
+            size, most = np.sqrt(x * x + y * y), FRICTION * impulse[row]
+            if size > most:
+                x, y = x * most / size, y * most / size
+            for k in range(1, 3):
+                new = x if k == 1 else y
+                extra = new - impulse[row + k]
+                impulse[row + k] = new
+                _apply(
+                    a, b, extra, effect_1[row + k], effect_2[row + k], reach[row + k], twist, rates
+                )
+                change = max(change, (extra / mass[row + k]) ** 2)
+        if change < RESIDUAL:
+            break
+
+
+@njit(cache=True)
+def _apply(a, b, extra, effect_1, effect_2, reach, twist, rates):
+    _add(twist[a], extra, effect_1)
+    _add(twist[b], extra, effect_2)
+    if a == HAND or b == HAND:
+        _add(rates, extra, reach)
+
+
+@njit(cache=True)
+def _joint(index, drive, rates, hand, hand_turn, motor, stop, timestep):
+    """One motor or stop; returns the change of the joint's rate."""
+    n = len(rates)
+    i = index % n
+    own = drive.inverse[i, i]
+    if index < n:
+        wanted = MOTOR_SHARE * (drive.command[i] - drive.joints[i]) / timestep
+        new = motor[i] + (wanted - rates[i]) / own
+        new = min(max(new, -drive.impulse), drive.impulse)
+        extra = new - motor[i]
+        motor[i] = new
+    else:
+        below, above = drive.lower[i] - drive.joints[i], drive.joints[i] - drive.upper[i]
+        if below > 0:
+            new = max(stop[i] + (STOP_SHARE * below / timestep - rates[i]) / own, 0.0)
+        elif above > 0:
+            new = min(stop[i] + (-STOP_SHARE * above / timestep - rates[i]) / own, 0.0)
+        else:
+            return 0.0
+        extra = new - stop[i]
+        stop[i] = new
+    _add(rates, extra, drive.inverse[i])
+    # The mass matrix is symmetric, so a row of M^-1 J^T is what a joint does to the hand.
+    _add(hand, extra, hand_turn[i])
+    return extra * own

@@ -1,0 +1,224 @@
+"""The command that measures a table of the paper, and prints it beside the paper's numbers."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from learn2assemble.cli.parser import (
+    count,
+    named,
+    workers_arguments,
+)
+from learn2assemble.errors import InputError
+from learn2assemble.files import check_exists, check_output, read_text, write_file
+
+if TYPE_CHECKING:
+    from l2a_lab.cell_jobs import Job
+    from l2a_lab.numbers import TableData
+    from l2a_lab.table import Table
+    from learn2assemble.cli.output import Output
+
+
+QUICK_EPISODES = 50
+
+
+def table_arguments(parser: argparse.ArgumentParser) -> None:
+    from l2a_lab.tables import TABLES
+
+    add = parser.add_argument
+    add("name", metavar="NAME", help=", ".join(TABLES))
+    add("--out", type=named, default=Path("results"), help="folder of the results")
+    add(
+        "--episodes",
+        type=count,
+        default=None,
+        help="problems of a cell, in place of 1000 (200 and 100 with an arm)",
+    )
+    workers_arguments(parser, "processes (all cores)")
+    add(
+        "--quick",
+        action="store_true",
+        help="one agent a row and 50 episodes, into the folder quick below --out",
+    )
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument(
+        "--agents",
+        type=named,
+        default=None,
+        help="folder of agents or runs (the shipped ones)",
+    )
+    source.add_argument(
+        "--train", action="store_true", help="first train all its agents in --runs, or go on"
+    )
+    source.add_argument(
+        "--from-files", action="store_true", help="measure nothing: print what --out holds"
+    )
+    add("--runs", type=named, default=Path("runs"), help="folder of --train")
+    add("--into", type=named, default=None, help="also put the main numbers into this page")
+
+
+def run_table(options: argparse.Namespace, output: Output) -> None:
+    from l2a_lab import cell_jobs, report
+    from l2a_lab.cells import find_agents
+    from l2a_lab.numbers import load_table
+    from l2a_lab.tables import get_table
+
+    table = get_table(options.name)
+    page: Path | None = options.into
+    around = ("", "") if page is None else _around(page, table)
+    root: Path = options.out / "quick" if options.quick else options.out
+    workers: int = options.workers or os.cpu_count() or 1
+    most = 1 if options.quick else None
+    agents = {} if options.train or options.from_files else find_agents(options.agents)
+    prepare(root)
+    if options.quick:
+        output.progress(report.QUICK)
+    if options.train:
+        from l2a_lab.recipes import RECIPES, copy_logs, train_recipes
+
+        wanted = [RECIPES[name] for name in table.stems if name in RECIPES]
+        train_recipes(
+            wanted,
+            options.runs,
+            seeds=most,
+            workers=workers,
+            ray=options.ray,
+            progress=output.progress,
+        )
+        copy_logs(wanted, options.runs, root / "runs")
+        agents = find_agents(options.runs)
+    todo: list[Job] = []
+    if not options.from_files:
+        episodes = options.episodes or (QUICK_EPISODES if options.quick else None)
+        jobs = cell_jobs.jobs(table, agents, episodes, most)
+        todo = cell_jobs.stale(root, jobs)
+        output.progress(f"{len(jobs)} cells, {len(todo)} to measure{_words(todo, workers)}")
+        _measure(root, todo, options.name, workers, options.ray)
+    data = load_table(table, root, options.quick)
+    files = _write(data, root)
+    if page is not None:
+        write_file(page, report.compact_markdown(data).join(around), "--into")
+        files["page"] = page
+    _print(output, data, files)
+    output.finish(_summary(data, len(todo), files))
+
+
+def _words(todo: list[Job], workers: int) -> str:
+    """What is about to be measured, and how long that takes."""
+    if not todo:
+        return ""
+    episodes, tasks = sum(job.episodes for job in todo), {job.cell.task.name for job in todo}
+    hours = sum(job.seconds for job in todo) / workers / 3600
+    long = f"{hours:.1f} hours" if hours >= 1 else f"{max(60 * hours, 1):.0f} minutes"
+    return (
+        f": {episodes} episodes on {len(tasks)} tasks, roughly {long} with {workers} processes; "
+        "--quick measures less, --from-files nothing"
+    )
+
+
+def prepare(folder: Path) -> None:
+    """Make a folder of results, before hours of work."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or "unwritable"
+        raise InputError("--out", str(folder), f"a writable folder ({reason})") from None
+
+
+def _measure(root: Path, todo: list[Job], name: str, workers: int, ray: str | None) -> None:
+    from tqdm import tqdm
+
+    from l2a_lab.cell_jobs import run_jobs
+
+    if not todo:
+        return
+    total = round(sum(job.cost for job in todo))
+    with tqdm(
+        total=total,
+        desc=name,
+        unit="",
+        unit_scale=True,
+        dynamic_ncols=True,
+        bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed}<{remaining} {postfix}",
+    ) as bar:
+        done = 0
+
+        def advance(job: Job) -> None:
+            nonlocal done
+            done += 1
+            bar.set_postfix_str(f"{done}/{len(todo)} cells, last: {job.cell.path[6:]}")
+            bar.update(round(job.cost))
+
+        run_jobs(root, todo, workers, advance, ray)
+
+
+def _write(data: TableData, root: Path) -> dict[str, Path]:
+    from l2a_lab import report
+    from l2a_lab.drawing import write_table
+
+    name, title = data.table.name, data.table.title
+    prepare(root / "tables")
+    files = {
+        kind: root / "tables" / f"{name}{ending}"
+        for kind, ending in (("markdown", ".md"), ("picture", ".png"))
+    }
+    write_file(files["markdown"], report.markdown(data), "--out")
+    title = f"{name}  {title}{'  (quick look)' if data.quick else ''}"
+    write_table(title, report.sections(data), report.notes(data), files["picture"])
+    return files
+
+
+def _print(output: Output, data: TableData, files: dict[str, Path]) -> None:
+    from l2a_lab import report
+
+    output.say(f"{data.table.name}: {data.table.title}")
+    for section in report.sections(data, brief=True):
+        output.say("")
+        output.table(section.title, report.headings(section, "\n"), section.rows)
+    output.say("")
+    for note in report.notes(data):
+        output.say(note)
+    if data.left_out:
+        output.say(f"not measured yet: {len(data.left_out)} cells")
+    for path in files.values():
+        output.say(str(path))
+
+
+def _summary(data: TableData, measured: int, files: dict[str, Path]) -> dict[str, Any]:
+    rows = [
+        {
+            "task": entry.column.name,
+            "method": entry.row.name,
+            "state": entry.state or "measured",
+            "paper": entry.paper and dataclasses.asdict(entry.paper),
+            "ours": [
+                {**dataclasses.asdict(condition), **dataclasses.asdict(summary)}
+                for condition, summary in entry.results.items()
+            ],
+        }
+        for line in data.entries
+        for entry in line
+    ]
+    return {
+        "table": data.table.name,
+        "quick": data.quick,
+        "measured": measured,
+        "rows": rows,
+        "files": {name: str(path) for name, path in files.items()},
+    }
+
+
+def _around(path: Path, table: Table) -> tuple[str, str]:
+    """What stands in a page before a table and after it, the lines that mark its place included."""
+    begin, end = (f"<!-- table {table.name}: {word} -->" for word in ("begin", "end"))
+    check_exists(path, "page for --into")
+    check_output(path, "--into")
+    text, _ = read_text(path, "page for --into")
+    head, _, rest = text.partition(begin)
+    if text.count(begin) != 1 or end not in rest:
+        raise InputError("--into", str(path), f"a file with the lines {begin} and {end}")
+    return f"{head}{begin}\n", f"\n{end}{rest.partition(end)[2]}"

@@ -1,0 +1,253 @@
+"""Each kind of what is built: what it has a use for, and its way to a plan and through an arm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
+from learn2assemble.design.cells import CellDesign
+from learn2assemble.design.goals import Goals
+from learn2assemble.errors import (
+    InputError,
+    check_name,
+)
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.tiling.planners import EXACT, PLANNERS, PlannerChoice
+from learn2assemble.robot.registry import ARMS, TOOLS
+
+if TYPE_CHECKING:
+    from learn2assemble.cell.carry_out import Workcell
+    from learn2assemble.cell.site import Site
+
+
+DEFAULT_TOOL, FINGERS = "suction", "gripper"
+"""Of an arm that carries out an exact plan: with fingers, blocks cannot stand close; but what has
+studs is held by fingers alone."""
+
+
+PHYSICS = ("dynamic", "kinematic")
+"""Cells in which an arm carries out exact plans."""
+
+
+class Help(NamedTuple):
+    """What may help blocks to stand; fields as the arguments of :func:`build`."""
+
+    supports: str
+    holds: int
+    hands: bool
+    shell: int | None
+
+
+class ArmChoice(NamedTuple):
+    """How an arm carries out an exact plan; fields as the arguments of :func:`build`."""
+
+    arm: str
+    tool: str | None
+    layout: str | Path | Site | None
+    physics: str
+    noise: tuple[float, float]
+    state: Path | None
+    seed: int
+
+    def check(self) -> None:
+        """Refuse names that do not exist, before libraries load."""
+        check_name("arm", self.arm, ARMS)
+        if self.tool is not None:
+            check_name("tool", self.tool, TOOLS)
+        check_name("physics", self.physics, PHYSICS)
+
+    def workcell(self, studs: bool = False) -> Workcell:
+        """The same with defaults, the layout read.
+
+        Args:
+            studs: whether blocks have them.
+        """
+        from learn2assemble.cell.carry_out import Workcell
+        from learn2assemble.cell.site import Site, read_site
+
+        site = Site() if self.layout is None else self.layout
+        if isinstance(site, str | Path):
+            site = read_site(Path(site))
+        if not isinstance(site, Site):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise InputError("layout", site, "a layout (docs/layouts.md) or its file")
+        tool = self.tool or (FINGERS if studs else DEFAULT_TOOL)
+        if studs and tool != FINGERS:
+            raise InputError("tool", tool, f"{FINGERS}: a cup does not hold on studs")
+        if studs and self.physics != "kinematic":
+            expected = "kinematic, for studs: no other cell has them yet"
+            raise InputError("physics", self.physics, expected)
+        return Workcell(self.arm, tool, site, self.physics, self.seed, self.noise, log=self.state)
+
+
+def check_asked(
+    design: Assembly | CellDesign | Goals, kit: Kit | None, help_: Help, planner: str
+) -> None:
+    """Refuse what a kind of design has no use for."""
+    given, clutch = isinstance(design, Assembly), False
+    if isinstance(design, CellDesign):
+        clutch = kit_of(design, kit).joint.law == "clutch"
+    elif planner != EXACT:
+        words = "blocks that are given" if given else "goals instead of a design"
+        raise InputError("planner", planner, f"exact, for {words}")
+    _, holds, hands, shell = help_
+    if shell is not None and not clutch:
+        raise InputError("shell", shell, "a design of cells and a kit that clutches, such as lego")
+    if not (given or clutch) and (holds or hands or help_.supports == "posts"):
+        got = f"holds={holds}" if holds else "hands" if hands else f"supports={help_.supports!r}"
+        raise InputError("design", got, "an assembly of given blocks for posts and holds")
+
+
+def goals_plan(
+    goals: Goals, workcell: Workcell | None, planner: PlannerChoice, given: dict[str, Any]
+) -> Plan:
+    from learn2assemble.planning.goals.planner import plan_goals
+
+    plan = plan_goals(goals, seed=planner.seed, **given)
+    if workcell is None:
+        return plan
+    from learn2assemble.cell.carry_out import carry_out
+    from learn2assemble.cell.site import with_obstacles
+
+    workcell = replace(workcell, site=with_obstacles(workcell.site, goals))
+    joint = goals.kit.joint_gap
+    return carry_out(plan, workcell, joint=joint, progress=given["progress"])
+
+
+def blocks_plan(
+    blocks: Assembly, workcell: Workcell | None, help_: Help, given: dict[str, Any]
+) -> Plan:
+    from learn2assemble.planning.brick_plan import plan_for_arm
+    from learn2assemble.planning.given import plan_assembly
+
+    supports, holds, hands, _ = help_
+    if workcell is not None:
+        workcell = _for_given(blocks, workcell)  # What no tool can hold is said before planning.
+    if workcell is None or not blocks.holds:
+        plan = plan_assembly(blocks, supports=supports, holds=holds, hands=hands, **given)
+        if workcell is None:
+            return plan
+    else:
+        _check_pressed(blocks)
+        plan = plan_for_arm(blocks)
+    from learn2assemble.cell.carry_out import carry_out
+
+    return carry_out(plan, workcell, joint=0.0, progress=given["progress"])
+
+
+def bricks_plan(
+    design: CellDesign,
+    kit: Kit,
+    workcell: Workcell | None,
+    help_: Help,
+    planner: PlannerChoice,
+    given: dict[str, Any],
+) -> Plan:
+    from learn2assemble.linear_programs import Clock
+    from learn2assemble.planning.brick_order import BrickHelp
+    from learn2assemble.planning.brick_plan import plan_for_arm
+    from learn2assemble.planning.tiling.bricks import plan_brick_cells
+
+    _check_bricks(design, kit, help_, given, planner.name)
+    _, holds, hands, shell = help_
+    bricks = BrickHelp(hands, max(holds, 1) if hands else holds)
+    clock, progress = Clock(given["seconds"]), given["progress"]
+    plan = plan_brick_cells(design, kit, bricks, clock, progress, shell=shell, seed=planner.seed)
+    if workcell is None or plan.assembly is None or not plan.complete:
+        return plan
+    from learn2assemble.cell.carry_out import carry_out
+
+    ordered = replace(plan_for_arm(plan.assembly), design=plan.design, seconds=plan.seconds)
+    return carry_out(ordered, _for_given(plan.assembly, workcell), joint=0.0, progress=progress)
+
+
+def cells_plan(
+    design: CellDesign,
+    kit: Kit,
+    workcell: Workcell | None,
+    props: bool,
+    planner: PlannerChoice,
+    given: dict[str, Any],
+) -> Plan:
+    from learn2assemble.planning.tiling.construct import plan_cells
+
+    # Blocks are as large as the cells that were asked for.
+    kit = kit.at_pitch(design.cell)
+
+    def plan_with(blocks: Kit, hand: Any = None) -> Plan:
+        options: dict[str, Any] = given if blocks is kit else {**given, "gap": None}
+        return plan_cells(
+            design, blocks, props=props, planner=replace(planner, hand=hand), **options
+        )
+
+    if workcell is None:
+        return plan_with(kit)
+    by_arm = PLANNERS[planner.name].carry_out
+    if by_arm is not None:
+        return by_arm(plan_with, design.wanted, kit, workcell, given["progress"])
+    from learn2assemble.cell.carry_out import carry_out_cells
+
+    return carry_out_cells(plan_with(kit), kit, workcell, given["progress"], plan_with)
+
+
+def _for_given(design: Assembly, workcell: Workcell) -> Workcell:
+    """How an arm builds blocks that are given, of which it can hold every one: with posts by hand
+    where it cannot set them.
+
+    Raises:
+        InputError: for blocks that the tool cannot hold at any face.
+    """
+    from learn2assemble.cell.pieces import pieces_of
+    from learn2assemble.cell.reach import check_held
+    from learn2assemble.robot.arm import get_arm
+
+    pieces = [
+        p
+        for p, b in zip(pieces_of(design), design.blocks, strict=True)
+        if not (b.support or b.prop)
+    ]
+    check_held(get_arm(workcell.arm, workcell.tool), pieces)
+    return replace(workcell, hands=True)
+
+
+def kit_of(design: CellDesign, kit: Kit | None) -> Kit:
+    """The kit that a design of cells is built with."""
+    return kit or load_kit(design.kit or DEFAULT_KIT)
+
+
+def _check_bricks(
+    design: CellDesign,
+    kit: Kit,
+    help_: Help,
+    given: Mapping[str, Any],
+    planner: str,
+) -> None:
+    """Refuse what bricks that clutch do not take."""
+    if not np.allclose(design.cell, kit.cell, rtol=1e-6):
+        raise InputError("cell", list(design.cell), f"cells of kit {kit.name}, {list(kit.cell)} m")
+    if given["gap"] is not None or given["friction"] is not None:
+        raise InputError("gap, friction", "given", f"none: bricks of kit {kit.name} clutch")
+    if help_.supports in ("props", "posts"):
+        raise InputError("supports", help_.supports, f"hands: bricks of kit {kit.name} clutch")
+    if planner != EXACT:
+        raise InputError("planner", planner, f"exact, for bricks of kit {kit.name}")
+
+
+def has_studs(design: Assembly | CellDesign | Goals, kit: Kit | None) -> bool:
+    """Whether what a design is built of clutches."""
+    if isinstance(design, Goals):
+        return False
+    joint = kit_of(design, kit).joint if isinstance(design, CellDesign) else design.joint
+    return joint.law == "clutch" and joint.holds
+
+
+def _check_pressed(blocks: Assembly) -> None:
+    """Refuse joints that an arm cannot make."""
+    if blocks.joints or blocks.joint.law != "clutch":
+        laws = ", ".join(sorted({joint.law for joint in blocks.laws}))
+        raise InputError("joints", laws, "clutch alone, for an arm: it lays no mortar")
