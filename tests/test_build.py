@@ -16,7 +16,7 @@ from learn2assemble.tasks.episode import build_task, sample_problem
 from learn2assemble.tasks.networks.agent import Agent, load_agent
 from learn2assemble.tasks.networks.config import NetworkConfig
 from learn2assemble.tasks.networks.qnetwork import QNetwork
-from learn2assemble.tasks.playing import STAGES, placement_key, plan_episode
+from learn2assemble.tasks.playing import BUDGETS, STAGES, placement_key, plan_episode
 from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.task import get_task
 from learn2assemble.tasks.world.state import State
@@ -170,7 +170,7 @@ def test_the_plan_is_the_same_for_the_same_seed(untrained: Agent) -> None:
 
 
 def test_stages_rise() -> None:
-    assert len(STAGES) == len(set(STAGES)) == len(episode.BUDGETS) + 1
+    assert len(STAGES) == len(set(STAGES)) == len(BUDGETS) + 1
 
 
 @pytest.mark.parametrize(

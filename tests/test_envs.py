@@ -23,7 +23,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.constants import EDGE
-from learn2assemble.envs import assembly, env_id, register_all
+from learn2assemble.envs import actions as flat_actions
+from learn2assemble.envs import env_id, register_all
 from learn2assemble.envs.assembly import AssemblyEnv, AssemblyVectorEnv
 from learn2assemble.envs.drawing import COLOURS, SCALE
 from learn2assemble.errors import InputError, UnknownNameError
@@ -176,13 +177,13 @@ def test_vector_environments_can_be_pickled() -> None:
 @given(some_preset, st.data())
 def test_flat_actions_are_a_numbering(name: str, data) -> None:
     task = get_task(name)
-    action = data.draw(st.integers(0, assembly.num_flat_actions(task) - 1))
-    i, j, k = assembly.unflatten_action(task, action)
+    action = data.draw(st.integers(0, flat_actions.num_flat_actions(task) - 1))
+    i, j, k = flat_actions.unflatten_action(task, action)
     assert 0 <= i < task.num_nodes
     assert 0 <= j < task.num_nodes
     assert 0 <= k < task.num_actions
-    assert assembly.flatten_action(task, i, j, k) == action
-    pair = assembly.unflatten_action(task, np.array([action, 0]))
+    assert flat_actions.flatten_action(task, i, j, k) == action
+    pair = flat_actions.unflatten_action(task, np.array([action, 0]))
     assert [x.tolist() for x in pair] == [[i, 0], [j, 0], [k, 0]]
 
 
@@ -206,10 +207,10 @@ def test_masks_say_what_every_action_does(name: str, seed: int, steps: int) -> N
     assert len(flat) == unplaced * obs["num_placed"] * env.task.num_actions
     others = np.flatnonzero(~mask)
     worlds = env.state.take(np.zeros(len(others), np.int64))
-    assert assembly.resolve_actions(env.task, worlds, others)[1].all()
+    assert flat_actions.resolve_actions(env.task, worlds, others)[1].all()
 
     worlds = env.state.take(np.zeros(len(flat), np.int64))
-    actions, clipped = assembly.resolve_actions(env.task, worlds, flat)
+    actions, clipped = flat_actions.resolve_actions(env.task, worlds, flat)
     assert not clipped.any()
     some = np.linspace(0, len(flat) - 1, 6).astype(int)
     reached = env.simulator.step(worlds.take(some), actions[some]).verdict == Verdict.STABLE
@@ -218,7 +219,7 @@ def test_masks_say_what_every_action_does(name: str, seed: int, steps: int) -> N
     assert np.array_equal(verdict == Verdict.STABLE, stable[flat])
     assert not (reached & ~stable[flat][some]).any()
     assert env.task.has_arm or np.array_equal(reached, stable[flat][some])
-    i, j, k = assembly.unflatten_action(env.task, flat)
+    i, j, k = flat_actions.unflatten_action(env.task, flat)
     sizes = (obs["object_id"][i][:, None] == obs["object_id"][-unplaced:]).sum(1)
     assert np.array_equal(worlds.num_placed, obs["num_placed"] + sizes)
     placed = obs["num_placed"]
@@ -243,9 +244,9 @@ def test_illegal_nodes_are_clipped_like_the_published_code(seed: int, action: in
     obs, twin = last[0], copy.deepcopy(env)
     first = int(obs["num_targets"])
     middle, end = first + int(obs["num_placed"]), int(obs["num_nodes"])
-    i, j, k = assembly.unflatten_action(env.task, action)
+    i, j, k = flat_actions.unflatten_action(env.task, action)
     nearest = min(max(i, middle), end - 1), min(max(j, first), middle - 1), k
-    legal = assembly.flatten_action(env.task, *nearest)
+    legal = flat_actions.flatten_action(env.task, *nearest)
     assert last[-1]["action_masks"][legal]
     done, wanted = env.step(action), twin.step(legal)
     assert done[-1].pop("clipped") == (legal != action)
@@ -426,7 +427,7 @@ def test_without_autoreset_the_caller_resets() -> None:
     env.reset(seed=0)
     legal = [int(np.flatnonzero(mask)[0]) for mask in env.action_masks()]
     targets = env.state.num_targets[1]
-    into = assembly.flatten_action(
+    into = flat_actions.flatten_action(
         env.task, env.task.num_nodes - 1, targets, RELATIONS.index("top")
     )
     obs, _, _, _, _ = env.step([legal[0], into, legal[2]])
@@ -472,7 +473,7 @@ def test_the_text_shows_blocks_where_they_stand() -> None:
     for relation in ("right", "top", "front"):
         last = first + int(obs["num_placed"]) - 1
         k = RELATIONS.index(relation)
-        obs, *_ = env.step(assembly.flatten_action(env.task, env.task.num_nodes - 1, last, k))
+        obs, *_ = env.step(flat_actions.flatten_action(env.task, env.task.num_nodes - 1, last, k))
     # The fourth block floats in front of the third and hides it.
     body = env.render().splitlines()[1:]
     assert re.fullmatch("=+", body[-1])
@@ -509,10 +510,10 @@ def transcript(name: str) -> str:
         wanted = info["physics_mask"] if number <= 12 else 1 - info["physics_mask"]
         actions = rng.permutation(np.flatnonzero(wanted & info["action_masks"]))
         worlds = env.state.take(np.zeros(len(actions), np.int64))
-        triples, _ = assembly.resolve_actions(env.task, worlds, actions)
+        triples, _ = flat_actions.resolve_actions(env.task, worlds, actions)
         ahead = env.simulator.step(worlds, triples)
         action = int(actions[np.argmax(ahead.reward + ahead.success)])
-        i, j, k = assembly.unflatten_action(env.task, action)
+        i, j, k = flat_actions.unflatten_action(env.task, action)
         relation, way = divmod(k, env.task.rotations)
         turned = f" after {way} quarter turns" if way else ""
         if env.task.action_mode == "grips":

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-from l2a_lab import report as published_module
+from l2a_lab import numbers as published_module
 from l2a_lab.bounds import best_return, return_bound
 from l2a_lab.cell_jobs import Job, jobs, row_cells, run_jobs, share_size, stale
 from l2a_lab.cells import (

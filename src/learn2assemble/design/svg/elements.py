@@ -30,7 +30,7 @@ Drawn = tuple[list[PaintedPart], np.ndarray | None]
 
 
 @dataclass(frozen=True)
-class Place:
+class Context:
     """Where an element stands: what it takes from what is around it."""
 
     matrix: Matrix
@@ -43,7 +43,7 @@ class Place:
     local: Matrix = field(default_factory=lambda: np.eye(3))
     """From its user units to those of what it stands in."""
 
-    def moved(self, matrix: Matrix) -> Place:
+    def moved(self, matrix: Matrix) -> Context:
         """The same with user units of its own."""
         return replace(self, matrix=self.matrix @ matrix, local=self.local @ matrix)
 
@@ -72,7 +72,7 @@ class Elements:
         """Path data that was read."""
         self.turns: dict[str, Matrix | None] = {}
         """Transforms that were read."""
-        self.places: dict[ElementTree.Element, Place] = {}
+        self.places: dict[ElementTree.Element, Context] = {}
         """Places of what is drawn by reference."""
         self.gradients: dict[ElementTree.Element, tuple[tuple[int, int, int], float] | None] = {}
         """Colours of gradients; None for one that is not read."""
@@ -92,7 +92,7 @@ class Elements:
         style["font-size"] = repr(size * units.get(unit, 1.0))
         return style
 
-    def computed(self, element: ElementTree.Element) -> Place:
+    def computed(self, element: ElementTree.Element) -> Context:
         """The place of what is in an element that is only drawn by reference."""
         if element in self.places:
             return self.places[element]
@@ -104,7 +104,7 @@ class Elements:
         for each in reversed(chain):
             style = self.style(each, style, around, frame)
             around, frame = (*around, each), replace(frame, font=float(style["font-size"]))
-        self.places[element] = Place(IDENTITY, style, frame, around)
+        self.places[element] = Context(IDENTITY, style, frame, around)
         return self.places[element]
 
     def check_depth(self, depth: int) -> None:
@@ -157,14 +157,14 @@ class Elements:
         )
         return paths.shift(x, y) @ made @ paths.shift(-x, -y)
 
-    def length(self, place: Place, name: str, default: str) -> float:
+    def length(self, place: Context, name: str, default: str) -> float:
         """A property that is a length."""
         along = {"x": "x", "cx": "x", "width": "x", "rx": "x", "r": ""}.get(name, "y")
         given = place.style.get(name, default)
         given = default if given == "auto" else given
         return paths.length(given, along, place.frame, self.source)
 
-    def shape(self, tag: str, element: ElementTree.Element, place: Place) -> Drawn:
+    def shape(self, tag: str, element: ElementTree.Element, place: Context) -> Drawn:
         """What a shape paints."""
         curves, box = self.outline(tag, element, place)
         if not curves:
@@ -186,7 +186,7 @@ class Elements:
         return [PaintedPart(curves, even_odd, colour, alpha, stroked, place.layer)], box
 
     def outline(
-        self, tag: str, element: ElementTree.Element, place: Place
+        self, tag: str, element: ElementTree.Element, place: Context
     ) -> tuple[tuple[Curve, ...], np.ndarray | None]:
         """The curves of a shape in coordinates of the drawing, and its box in its user units."""
         sound = True
@@ -215,7 +215,7 @@ class Elements:
         box = paths.box_of(curves) if self.boxed else None
         return tuple(curve.moved(place.matrix) for curve in curves), box
 
-    def _basic(self, tag: str, place: Place) -> list[Curve]:
+    def _basic(self, tag: str, place: Context) -> list[Curve]:
         """Rectangles and ellipses; a corner radius that is not said is that of the other axis."""
         if tag == "circle":
             rx = ry = self.length(place, "r", "0")

@@ -21,7 +21,7 @@ from learn2assemble.design.drawings import (
 )
 from learn2assemble.design.svg import paths
 from learn2assemble.design.svg import style as styles
-from learn2assemble.design.svg.elements import HREF, IDENTITY, Drawn, Elements, Place
+from learn2assemble.design.svg.elements import HREF, IDENTITY, Context, Drawn, Elements
 from learn2assemble.design.svg.page import page_of, parsed, view_box
 from learn2assemble.design.svg.parts import OPAQUE, Page, PaintedPart, counted, paint
 from learn2assemble.design.svg.paths import LengthContext, Matrix
@@ -103,7 +103,7 @@ class _Walk:
             return []
         if style.get("transform", "none") != "none":
             self.elements.not_read["transform of the whole"] += 1
-        place = Place(page.matrix, style, frame, (self.root,))
+        place = Context(page.matrix, style, frame, (self.root,))
         parts = self._finish(*self._children(self.root, place), style, place)
         if page.window is None:
             return parts
@@ -112,14 +112,14 @@ class _Walk:
 
     # ------------------------------------------------ elements
 
-    def _children(self, element: ElementTree.Element, place: Place) -> Drawn:
+    def _children(self, element: ElementTree.Element, place: Context) -> Drawn:
         drawn = [self.draw(child, place) for child in element]
         return [part for parts, _ in drawn for part in parts], _joined(box for _, box in drawn)
 
     def draw(
         self,
         element: ElementTree.Element,
-        place: Place,
+        place: Context,
         sizes: tuple[str | None, str | None] | None = None,
     ) -> Drawn:
         """What an element paints.
@@ -161,9 +161,9 @@ class _Walk:
         self,
         tag: str,
         element: ElementTree.Element,
-        place: Place,
+        place: Context,
         sizes: tuple[str | None, str | None] | None,
-    ) -> tuple[Place, list[PaintedPart], np.ndarray | None]:
+    ) -> tuple[Context, list[PaintedPart], np.ndarray | None]:
         """Parts and box of what is in an element, and the place where that stands."""
         if tag in ("svg", "symbol"):
             return self._viewport(element, place, sizes or (None, None))
@@ -190,8 +190,8 @@ class _Walk:
             self.elements.not_read[_NOT_READ[tag]] += 1
 
     def _use(
-        self, element: ElementTree.Element, place: Place
-    ) -> tuple[Place, list[PaintedPart], np.ndarray | None]:
+        self, element: ElementTree.Element, place: Context
+    ) -> tuple[Context, list[PaintedPart], np.ndarray | None]:
         """A copy of another element."""
         x, y = (self.elements.length(place, name, "0") for name in "xy")
         place = place.moved(paths.shift(x, y))
@@ -205,8 +205,8 @@ class _Walk:
             return place, *self.draw(target, replace(place, around=()), sizes)
 
     def _viewport(
-        self, element: ElementTree.Element, place: Place, sizes: tuple[str | None, str | None]
-    ) -> tuple[Place, list[PaintedPart], np.ndarray | None]:
+        self, element: ElementTree.Element, place: Context, sizes: tuple[str | None, str | None]
+    ) -> tuple[Context, list[PaintedPart], np.ndarray | None]:
         """An ``svg`` inside another, or a symbol."""
         box = view_box(element)
         x, y = (self.elements.length(place, name, "0") for name in "xy")
@@ -234,7 +234,7 @@ class _Walk:
     # ------------------------------------------------ clip paths, masks, opacity
 
     def _finish(
-        self, parts: list[PaintedPart], box: np.ndarray | None, style: Style, place: Place
+        self, parts: list[PaintedPart], box: np.ndarray | None, style: Style, place: Context
     ) -> list[PaintedPart]:
         """What of an element is left by its clip path, mask and opacity."""
         if not any(part.seen for part in parts):
@@ -265,7 +265,7 @@ class _Walk:
         return made[::-1]
 
     def _limited(
-        self, parts: list[PaintedPart], box: np.ndarray | None, style: Style, place: Place
+        self, parts: list[PaintedPart], box: np.ndarray | None, style: Style, place: Context
     ) -> list[PaintedPart]:
         """Parts within the clip path and the mask of their element."""
         for name, tag in (("clip-path", "clipPath"), ("mask", "mask")):
@@ -285,7 +285,7 @@ class _Walk:
         return parts
 
     def _clip(
-        self, target: ElementTree.Element, place: Place, box: np.ndarray
+        self, target: ElementTree.Element, place: Context, box: np.ndarray
     ) -> tuple[PaintedPart, ...] | None:
         """The region of a clip path; None where there is none."""
         inside = self.elements.computed(target)
@@ -300,7 +300,7 @@ class _Walk:
         made = [part for child in target for part in self._clip_part(child, own)[0]]
         return tuple(self._limited(made, box, inside.style, place))
 
-    def _clip_part(self, element: ElementTree.Element, place: Place) -> Drawn:
+    def _clip_part(self, element: ElementTree.Element, place: Context) -> Drawn:
         """A shape of a clip path, or a copy of one."""
         tag = local(element)
         if tag == "text":
@@ -330,7 +330,7 @@ class _Walk:
         return self._limited(parts, box, clipped, inside), _mapped(box, inside.local)
 
     def _mask(
-        self, target: ElementTree.Element, place: Place, box: np.ndarray
+        self, target: ElementTree.Element, place: Context, box: np.ndarray
     ) -> tuple[PaintedPart, ...]:
         """The region of a mask that is all or nothing everywhere.
 
@@ -421,7 +421,7 @@ def _applies(element: ElementTree.Element) -> bool:
     return english and not element.get("requiredExtensions", "").strip()
 
 
-def _layer(element: ElementTree.Element, place: Place) -> str | None:
+def _layer(element: ElementTree.Element, place: Context) -> str | None:
     """The layer of what is in an element.
 
     A layer is a group that an editor marked as one, one at the top that somebody named, or one
