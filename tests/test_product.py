@@ -138,7 +138,16 @@ def test_every_module_loads_or_names_the_extra(tmp_path: Path) -> None:
     learning = {name.split(".")[1] for name in done.stdout.split()}
     assert learning == {"tasks", "envs"}
     wing = {name.split(".")[2] for name in done.stdout.split() if ".tasks." in name}
-    assert wing == {"graph", "networks", "learning", "evaluation", "episode", "world_model"}
+    assert wing == {
+        "graph",
+        "networks",
+        "learning",
+        "evaluation",
+        "episode",
+        "playing",
+        "built",
+        "world_model",
+    }
 
 
 @pytest.fixture
