@@ -121,7 +121,7 @@ def test_loads_passed_down_prove_nothing_that_forces_do_not_balance(seed: int) -
     agreed = 0
     for _ in range(8):
         state = State(rng.random(len(nothing)) < 0.8, nothing)
-        by_loads = ByLoads(assembly, contacts, 0.6, Clock(60)).stands(state)
+        by_loads = ByLoads.of_contacts(assembly, contacts, 0.6, Clock(60)).stands(state)
         if by_loads:
             assert solve(assembly, contacts, 0.6, present=state.present, coupled=False).stands
         agreed += by_loads == States(assembly, contacts, [0.6]).stands(state)
@@ -191,7 +191,8 @@ def test_blocks_of_cells_are_proven_alike_as_cells_and_as_blocks() -> None:
         lattice = bool(Proof(stack).program(everything, everything))
         assembly = to_assembly(tiling, None, kit)
         contacts = find_contacts(assembly)
-        law = ByLoads(assembly, contacts.only(bed_patches(contacts)), 0.5, Clock(60))
+        level = contacts.only(bed_patches(contacts))
+        law = ByLoads.of_contacts(assembly, level, 0.5, Clock(60))
         state = State(everything, np.zeros_like(everything))
         assert law.stands(state) == lattice
         verdicts.append(lattice)

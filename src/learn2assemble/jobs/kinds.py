@@ -149,13 +149,13 @@ def bricks_plan(
     given: dict[str, Any],
 ) -> Plan:
     from learn2assemble.linear_programs import Clock
-    from learn2assemble.planning.brick_order import BrickHelp
     from learn2assemble.planning.brick_plan import plan_for_arm
+    from learn2assemble.planning.sequence import Supports
     from learn2assemble.planning.tiling.bricks import plan_brick_cells
 
     _check_bricks(design, kit, help_, given, planner.name)
     _, holds, hands, shell = help_
-    bricks = BrickHelp(hands, max(holds, 1) if hands else holds)
+    bricks = Supports(holds=max(holds, 1) if hands else holds, hands=hands)
     clock, progress = Clock(given["seconds"]), given["progress"]
     plan = plan_brick_cells(design, kit, bricks, clock, progress, shell=shell, seed=planner.seed)
     if workcell is None or plan.assembly is None or not plan.complete:

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.linear_programs import Clock
-from learn2assemble.planning.brick_order import BrickHelp, follow_bricks, order_bricks
 from learn2assemble.planning.given_plan import plan_of
+from learn2assemble.planning.orders import BrickOrder
 from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.sequence import Sequenced, SequenceStep
+from learn2assemble.planning.sequence import Sequenced, SequenceStep, Supports
 from learn2assemble.statics.holding_check import stands_by_joints, words_of
 from learn2assemble.statics.proofs import CLUTCH, CLUTCH_TIGHT
 
@@ -42,7 +42,7 @@ def plan_for_arm(assembly: Assembly) -> Plan:
 
 def plan_bricks(
     assembly: Assembly,
-    help_: BrickHelp,
+    help_: Supports,
     clock: Clock,
     progress: Callable[[str], None],
 ) -> Plan:
@@ -61,20 +61,19 @@ def plan_bricks(
         InputError: for blocks that are no bricks on one lattice.
     """
     started = time.perf_counter()
-    note = None
-    found = None
+    found, note = None, None
+    order = BrickOrder(assembly.finished if assembly.steps else assembly)
     if assembly.steps:
-        found, note = follow_bricks(assembly, help_, clock)
-        assembly = assembly.finished
+        found, note = order.follow(assembly.steps, help_)
     if found is None:
-        found = order_bricks(assembly, help_, clock, progress)
+        found = order.find(help_, clock, progress)
     if found.status == "not found" and not help_.hands and clock.left > _LEAST:
-        more = order_bricks(assembly, BrickHelp(True, max(1, help_.holds)), clock)
+        more = order.find(Supports(holds=max(1, help_.holds), hands=True), clock)
         if more.status == "complete":
             held = sum(step.action == "hold" for step in more.steps)
             reason = f"{found.reason}; with hands it is built (`hands=`), which hold {held} times"
             found = replace(found, reason=reason)
     friction = assembly.friction, assembly.friction
-    plan = plan_of(assembly, found, friction, None, started)
+    plan = plan_of(order.assembly, found, friction, None, started)
     design = replace(plan.design, note=note)
     return replace(plan, verified_by=VERIFIED, design=design)

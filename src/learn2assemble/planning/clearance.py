@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.assembly.blocks import Block
+from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.assembly.parts import convex_parts
 
 _STEPS = 4
@@ -119,6 +120,43 @@ class Clearance:
         if block not in self._known:
             self._known[block] = parts_of(self.blocks[block])
         return self._known[block]
+
+
+class FreeWays:
+    """Whether blocks come to their places, and leave them, past those that are there.
+
+    Args:
+        blocks: where they stand.
+        contacts: of them.
+        depth: overlap that is rounding [m].
+        level: blocks from this one on go along the ground first.
+    """
+
+    def __init__(
+        self, blocks: Sequence[Block], contacts: Contacts, depth: float, level: int
+    ) -> None:
+        self.contacts, self.level = contacts, level
+        self._clearance = Clearance(blocks, depth)
+        self._known: dict[tuple[int, bytes], bool] = {}
+
+    def free(self, block: int, present: np.ndarray) -> bool:
+        """Whether a way of a block to or from its place is free among ``present`` (bool[B])."""
+        key = block, present.tobytes()
+        if key not in self._known:
+            normals = self._pushing(block, present)
+            ways = ways_out(normals)
+            if block >= self.level:
+                ways = LEVEL[(LEVEL @ normals.T > -_ALONG).all(1)]
+            self._known[key] = self._clearance.leaves(block, present, ways)
+        return self._known[key]
+
+    def _pushing(self, block: int, present: np.ndarray) -> np.ndarray:
+        """float64[n, 3]: normals of the contacts of a block with what is there, towards it."""
+        contacts = self.contacts
+        mine, other = contacts.a == block, contacts.b == block
+        there = np.where(mine, contacts.b, contacts.a)
+        live = (mine | other) & ((there < 0) | present[there])
+        return np.where(mine[live, None], -contacts.normal[live], contacts.normal[live])
 
 
 def ways_out(normals: np.ndarray) -> np.ndarray:

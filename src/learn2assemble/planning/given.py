@@ -12,19 +12,16 @@ from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import check_overlaps, shrunk
 from learn2assemble.errors import InputError, is_whole
 from learn2assemble.linear_programs import Clock
-from learn2assemble.planning.brick_order import BrickHelp
 from learn2assemble.planning.brick_plan import plan_bricks
 from learn2assemble.planning.given_plan import plan_of
-from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.sequence import (
+from learn2assemble.planning.orders import (
     ContactLayer,
     OrderProblem,
-    Sequenced,
-    Supports,
     find_sequence,
     follow_steps,
-    list_ids,
 )
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.sequence import Sequenced, Supports, list_ids
 from learn2assemble.statics.proofs import BED, POINTS, TIGHT, Bounds, value_range
 from learn2assemble.statics.rigid_blocks import (
     UNCERTAIN,
@@ -51,7 +48,7 @@ def plan_assembly(
     """Order, supports and proof for blocks that are given where they stand.
 
     The order of the file is kept where it has one. Else blocks go from below
-    (:mod:`.sequence`); where none stands, one is held while the next one comes, or posts carry it.
+    (:mod:`.forward`); where none stands, one is held while the next one comes, or posts carry it.
     Every state is proven, on what weight presses together where that holds, else with side faces
     that press or with edges and points, and the step says which.
 
@@ -85,7 +82,7 @@ def plan_assembly(
         if gap is not None or supports == "posts":
             got = "a gap" if gap is not None else "posts"
             raise InputError("bricks that clutch", got, "hands and holds alone to help them")
-        help_ = BrickHelp(hands, max(holds, 1) if hands else holds)
+        help_ = Supports(holds=max(holds, 1) if hands else holds, hands=hands)
         return plan_bricks(assembly, help_, Clock(seconds), progress)
     if hands:
         raise InputError("hands", hands, "bricks that clutch (a kit such as lego)")

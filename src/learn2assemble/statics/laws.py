@@ -1,11 +1,13 @@
-"""What may carry a state of given blocks, as one interface over two proofs.
+"""What may carry a state of blocks, as one interface over three proofs.
 
 Where all joints are level, loads are passed down block by block (:mod:`.step_proof`), which needs
-no friction; else forces in Coulomb's cone balance the state (:mod:`.states`).
+no friction; else forces in Coulomb's cone balance the state (:mod:`.states`). Joints that hold bear
+what their strength allows (:mod:`.holding`).
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -13,7 +15,9 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import Contacts, shrunk
 from learn2assemble.linear_programs import Clock
-from learn2assemble.statics.proofs import LOCAL, PROGRAM
+from learn2assemble.statics.holding import Balance, Push
+from learn2assemble.statics.holding_forces import forces_of
+from learn2assemble.statics.proofs import CLUTCH, CLUTCH_TIGHT, LOCAL, PROGRAM
 from learn2assemble.statics.sideways import Sideways
 from learn2assemble.statics.states import Pushes, State, States
 from learn2assemble.statics.step_proof import (
@@ -25,6 +29,8 @@ from learn2assemble.statics.step_proof import (
 )
 
 _LEVEL = 1 - 1e-6
+_LARGE, _NARROW = 100, 0.75
+"""Blocks from which programs are made anew, when so small a share of theirs is there."""
 
 
 class Law(Protocol):
@@ -98,20 +104,27 @@ class ByLoads:
     proven here.
 
     Args:
-        contacts: level ones only.
+        stack: the blocks and their level joints.
+        fixed: bool[B], supports.
         friction: that bounds the margins.
     """
 
-    def __init__(
-        self, assembly: Assembly, contacts: Contacts, friction: float, clock: Clock
-    ) -> None:
-        least = min(float(np.ptp(block.vertices, axis=0)[:2].min()) for block in assembly.blocks)
-        self.fixed = np.array([block.support for block in assembly.blocks])
-        self.stack: Stack = stack_of_contacts(assembly.blocks, shrunk(contacts, EDGE_INSET * least))
-        self.proof, self.clock = Proof(self.stack), clock
-        self._before = self._told = np.zeros(len(self.fixed), bool)
-        self._sideways, self._upright = Sideways(self.stack, friction), Proof(self.stack)
+    def __init__(self, stack: Stack, fixed: np.ndarray, friction: float, clock: Clock) -> None:
+        self.stack, self.fixed, self.clock = stack, fixed, clock
+        self.proof, self._upright = Proof(stack), Proof(stack)
+        self._before = self._told = np.zeros(len(fixed), bool)
+        self._sideways = Sideways(stack, friction)
         self._rank = -1
+
+    @classmethod
+    def of_contacts(
+        cls, assembly: Assembly, contacts: Contacts, friction: float, clock: Clock
+    ) -> ByLoads:
+        """That of an assembly with level contacts only."""
+        blocks = assembly.blocks
+        least = min(float(np.ptp(block.vertices, axis=0)[:2].min()) for block in blocks)
+        stack = stack_of_contacts(blocks, shrunk(contacts, EDGE_INSET * least))
+        return cls(stack, np.array([block.support for block in blocks]), friction, clock)
 
     @staticmethod
     def fits(contacts: Contacts) -> bool:
@@ -174,3 +187,50 @@ class ByLoads:
         for block in gone.tolist():
             dirty[stack.below(block)] = True
         return dirty & placed
+
+
+class ByStrength:
+    """Forces of joints that hold, up to their strength.
+
+    Args:
+        assembly: steps are not looked at.
+        balance: of all of it.
+        sides: whether faces side by side push in it, too.
+    """
+
+    def __init__(self, assembly: Assembly, balance: Balance, sides: bool) -> None:
+        self.assembly, self.balance, self.sides = assembly, balance, sides
+        self._scope, self._narrow = np.arange(len(assembly.blocks)), balance
+        self._known: dict[tuple[bytes, Push | None], bool] = {}
+
+    def stands(self, state: State, thorough: bool = True, push: Push | None = None) -> bool:
+        """As of a :class:`Law`, also while something pushes a block; answers are kept."""
+        key = state.key, push
+        if key not in self._known:
+            self._known[key] = self._asked(state, push)
+        return self._known[key]
+
+    def rests(self, state: State, block: int) -> bool:
+        return True  # Joints that hold squeeze nothing in.
+
+    def report(self, state: State) -> tuple[str, float | None]:
+        return CLUTCH_TIGHT if self.sides else CLUTCH, None
+
+    def moving(self, state: State) -> list[int]:
+        return self.balance.holding(state.present, state.held).moving
+
+    def falls(self, state: State) -> bool:
+        return not self.stands(state)
+
+    def _asked(self, state: State, push: Push | None) -> bool:
+        """The answer of a program over not many more blocks than are there."""
+        scope, present = self._scope, state.present
+        few = len(scope) > _LARGE and present.sum() < _NARROW * len(scope)
+        if few or present[scope].sum() != present.sum():
+            self._scope = scope = np.flatnonzero(present if few else np.ones_like(present))
+            blocks = tuple(self.assembly.blocks[k] for k in scope.tolist())
+            some = replace(self.assembly, blocks=blocks)
+            self._narrow = Balance(some, forces_of(some), self.sides)
+        if push is not None:
+            push = push._replace(block=int(np.searchsorted(scope, push.block)))
+        return self._narrow.stands(present[scope], state.held[scope], push)

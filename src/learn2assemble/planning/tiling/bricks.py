@@ -23,9 +23,9 @@ from learn2assemble.assembly.kit import Kit
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import Clock
-from learn2assemble.planning.brick_order import BrickHelp
 from learn2assemble.planning.brick_plan import plan_bricks
 from learn2assemble.planning.plan import CellCount, Plan
+from learn2assemble.planning.sequence import Supports
 from learn2assemble.statics.holding_check import stands_by_joints
 
 _LINK, _LOOSE, _CHANCES = 3.0, 100.0, (0.5, 4.0)
@@ -40,7 +40,7 @@ _SHARE = 0.4
 def plan_brick_cells(
     design: CellDesign,
     kit: Kit,
-    help_: BrickHelp,
+    help_: Supports,
     clock: Clock,
     progress: Callable[[str], None],
     *,
@@ -49,7 +49,7 @@ def plan_brick_cells(
 ) -> Plan:
     """Bricks, order and proof for cells.
 
-    Where bricks from above alone do not do, hands help (:class:`.BrickHelp`).
+    Where bricks from above alone do not do, hands help (:class:`.Supports`).
 
     Args:
         design: in cells as large as a brick of one stud.
@@ -76,7 +76,7 @@ def plan_brick_cells(
     planned = time.perf_counter() - started
     plan = plan_bricks(assembly, help_, clock, progress)
     if (not plan.complete and plan.status != "refused") or "hang on" in (plan.reason or ""):
-        hands = BrickHelp(True, max(help_.holds, 1))
+        hands = Supports(holds=max(help_.holds, 1), hands=True)
         more = plan_bricks(assembly, hands, clock, progress)
         plan = more if more.complete else plan
     x, y, z = design.wanted.shape

@@ -1,0 +1,312 @@
+"""What may be taken away of a finished structure of bricks that clutch: an order, found backwards.
+
+Bricks are taken one by one along their studs, upwards where nothing is over them; hands also take
+them downwards, and take several as one where what hangs on a brick would come off with it. What
+stands before, after, and while a brick is pressed home is proven each time; where it does not, a
+hand holds one brick for as long as that is needed. Read backwards, that is an order of building:
+hands put bricks in from below, and attach what they have built beside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep
+from learn2assemble.assembly.bricks.lattice import GROUND, StudLattice
+from learn2assemble.errors import InputError
+from learn2assemble.planning.sequence import Doing, Supports, Transition, Way
+from learn2assemble.statics.holding import Push
+from learn2assemble.statics.laws import ByStrength
+from learn2assemble.statics.states import State
+
+_TRIES = 300, 10
+"""Bricks taken away before the search gives up: so many, and so many for each one there is."""
+_HELPERS = 6
+"""Bricks that are tried to be held for one that does not stand."""
+
+
+class TakingApart:
+    """Bricks taken away from above; the rules of a search (:class:`~.sequence.OrderRules`).
+
+    Args:
+        assembly: bricks on a lattice of studs; steps are not looked at.
+        law: by which its states stand.
+        supports: hands and holds that may help.
+
+    Raises:
+        InputError: for blocks that are no bricks on one lattice.
+    """
+
+    patient = True
+
+    def __init__(self, assembly: Assembly, law: ByStrength, supports: Supports) -> None:
+        joint = assembly.joint
+        if joint.law != "clutch" or assembly.joints:
+            raise InputError("joints", "several laws", "one clutch for all, for an order of bricks")
+        self.blocks, self.law, self.help, self.press = assembly.blocks, law, supports, joint.press
+        self.fixed = np.array([block.support for block in assembly.blocks])
+        self.lattice = lattice = StudLattice(assembly.blocks, joint.pitch)
+        count = len(assembly.blocks)
+        self.tries = _TRIES[0] + _TRIES[1] * count
+        self.start = State(np.ones(count, bool), np.zeros(count, bool))
+        self.ground = State(self.fixed, np.zeros(count, bool))
+        self.lower: list[list[int]] = [[] for _ in range(count)]
+        self.upper: list[list[int]] = [[] for _ in range(count)]
+        clutches = lattice.clutches(ground=not self.fixed.any())
+        self.knobs: dict[tuple[int, int], tuple[float, np.ndarray]] = {}
+        """Of the joint of a lower and an upper brick: how many, and their middle [m]."""
+        middle = (clutches.first + clutches.last) / 2 * joint.pitch[0] + lattice.offset[:2]
+        many = (clutches.last - clutches.first).prod(1)
+        for a, b, n, at in zip(
+            clutches.lower.tolist(), clutches.upper.tolist(), many.tolist(), middle, strict=True
+        ):
+            self.knobs[a, b] = float(n), at
+            self.lower[b].append(a)
+            if a != GROUND:
+                self.upper[a].append(b)
+        self._pairs = np.where(clutches.lower == GROUND, count, clutches.lower), clutches.upper
+        self.based = np.array([GROUND in lower for lower in self.lower])
+        low, high = lattice.low, lattice.high
+        meet = (low[:, None, :2] < high[None, :, :2]).all(2) & (
+            high[:, None, :2] > low[None, :, :2]
+        ).all(2)
+        over = meet & (low[None, :, 2] >= high[:, None, 2])
+        self.over = [np.flatnonzero(row) for row in over]
+        self.under = [np.flatnonzero(row) for row in over.T]
+        self.rank = np.lexsort((low[:, 1], low[:, 0], -high[:, 2])).tolist()
+
+    def hanging(self) -> list[int]:
+        """Bricks under which there is nothing to press them on."""
+        return [k for k, lower in enumerate(self.lower) if not lower and not self.fixed[k]]
+
+    def left(self, state: State) -> tuple[int, int]:
+        """Bricks that are still there."""
+        return int((state.present & ~self.fixed).sum()), 0
+
+    def settled(self, move: Transition) -> Transition:
+        """The move: what is held is let go within it."""
+        return move
+
+    @staticmethod
+    def read(path: list[Transition]) -> list[Doing]:
+        """The steps of building, where everything is taken away in the end."""
+        return [step for move in reversed(path) for step in move.steps]
+
+    def follow(self, state: State, step: AssemblyStep, block: int | None) -> Doing | str:
+        """A step of building from a state, or why it cannot be done.
+
+        Args:
+            block: of the step; None where it is no brick.
+        """
+        if block is None or step.action != "place":
+            return "places no brick"
+        after = state.change(place=[block])
+        way = self.way([block], after)
+        if way is None:
+            return f"({step.block}) has no free way"
+        press = self.press_on([block], way, state)
+        if not (self.law.stands(after) and self.law.stands(after, push=press)):
+            return f"({step.block}) falls, or falls when it is pressed"
+        return Doing("place", block, way)
+
+    # ------------------------------------------------------------ moves
+
+    def moves(self, last: Transition) -> Iterator[Transition]:
+        """What may be taken away, the highest first: alone, with what hangs on it, at last where a
+        hand has to hold another one from then on."""
+        state = last.state
+        held, free = state.held, state.present & ~self.fixed
+        single: list[tuple[int, Way, State]] = []
+        covered: list[tuple[int, State]] = []
+        for b in [b for b in self.rank if free[b]]:
+            way, rest = self.way([b], state), _without(state, [b])
+            if way is None or len(self.loose(rest)):
+                covered.append((b, rest))
+            elif held[b] or self._meets(b, way, rest):
+                single.append((b, way, rest))
+                yield from self._single(b, way, state, rest)
+        groups = []
+        if self.help.hands:
+            groups = [(b, self.loose(rest)) for b, rest in covered if not held[b]]
+            groups = [(b, loose) for b, loose in groups if len(loose)]
+        for b, loose in sorted(groups, key=lambda one: len(one[1])):
+            yield from self._several(b, loose, state)
+        if held.sum() < self.help.holds:
+            for b, way, rest in single:
+                for helper in self._helpers(rest):
+                    yield from self._single(b, way, state, rest, helper)
+
+    def _single(
+        self, b: int, way: Way, state: State, rest: State, helper: int | None = None
+    ) -> Iterator[Transition]:
+        """A brick, with the help it needs to be pressed home.
+
+        Args:
+            rest: the state without it, with the same hands.
+            helper: a brick that a hand holds from then on, for the rest to stand.
+        """
+        if state.held[b]:
+            left = rest.change(release=[b])
+            if self.law.stands(left):
+                # A hand that is there already may bring what the others come to.
+                whence = way if self._meets(b, way, rest) else "beside"
+                yield self._with([Doing("place", b, whence), Doing("hold", b)], left)
+            return
+        hand = rest if helper is None else rest.change(hold=[helper])
+        if not self.law.stands(hand):
+            return
+        there = state if helper is None else state.change(hold=[helper])
+        pressed = self._pressed([b], way, there, rest)
+        if pressed is None:
+            return
+        mate, under = pressed
+        middle = self.middle(self.press_on([b], way, rest))
+        steps = [Doing("place", b, way)]
+        if self.help.holds > 0 and not self.law.stands(under, push=middle):
+            steps += [Doing("hold", b), Doing("release", b)]
+        if helper is not None:
+            steps.append(Doing("release", helper))
+        yield self._with(_while_held(mate, steps), hand)
+
+    def _pressed(
+        self, group: list[int], way: Way, state: State, rest: State
+    ) -> tuple[int | None, State] | None:
+        """Who has to hold what while some bricks are pressed home: nobody, or a hand each brick
+        they are pressed on, in turn; of these the one with the most knobs, and the state in which
+        it is held. None where that is not enough."""
+        if self.law.stands(state, push=self.press_on(group, way, rest)):
+            return None, state
+        mates = {
+            m: b for b in group for m in self._mates(b) if rest.present[m] and not self.fixed[m]
+        }
+        # The hand that presses reaches round both; an arm needs another one.
+        if not mates or not (self.help.hands or state.held.sum() < self.help.holds):
+            return None
+        for mate, b in mates.items():
+            alone = State(np.zeros_like(rest.present), rest.held).change(place=[mate])
+            press = self.press_on([b], way, alone)
+            if not self.law.stands(state.change(hold=[mate]), push=press):
+                return None
+        most = max(mates, key=lambda m: self._knobs(m, mates[m]))
+        return most, state.change(hold=[most])
+
+    def _knobs(self, one: int, other: int) -> float:
+        pair = (one, other) if (one, other) in self.knobs else (other, one)
+        return self.knobs[pair][0]
+
+    def _helpers(self, rest: State) -> list[int]:
+        """Bricks that a hand may hold where the rest falls: those that move first."""
+        if self.law.stands(rest):
+            return []
+        moving = self.law.moving(rest)
+        some = [b for b in moving if rest.present[b] and not self.fixed[b] and not rest.held[b]]
+        return sorted(some, key=lambda b: -self.lattice.high[b, 2])[:_HELPERS]
+
+    def _several(self, b: int, loose: np.ndarray, state: State) -> Iterator[Transition]:
+        """A brick with what comes off with it, built beside and attached as one."""
+        group = [b, *loose.tolist()]
+        way, rest = self.way(group, state), _without(state, group)
+        if way is None or state.held[group].any() or not self.law.stands(rest):
+            return
+        pressed = self._pressed(group, way, state, rest)
+        if pressed is None:
+            return
+        there = rest.change(place=[b], hold=[b])
+        steps = [Doing("place", b, "beside"), Doing("hold", b)]
+        left, layer = set(loose.tolist()), self.lattice.low[:, 2]
+        while left:
+            ready = [k for k in left if there.present[self._mates(k)].any()]
+            if not ready:
+                return
+            k = min(ready, key=lambda one: (abs(layer[one] - layer[b]), one))
+            there = there.change(place=[k])
+            below = any(m != GROUND and there.present[m] for m in self.lower[k])
+            press = self.press_on([k], "above" if below else "below", there)
+            if not self.law.stands(there, push=press):
+                return
+            steps.append(Doing("place", k, "beside"))
+            left.discard(k)
+        steps.append(Doing("release", b))
+        yield self._with(_while_held(pressed[0], steps), rest)
+
+    def _with(self, steps: list[Doing], rest: State) -> Transition:
+        """The move, without holds that the rest does not need."""
+        first: list[Doing] = []
+        for b in np.flatnonzero(rest.held).tolist():
+            less = rest.change(release=[b])
+            if self.law.stands(less):
+                rest = less
+                first.append(Doing("hold", b))
+        return Transition((*first, *steps), rest)
+
+    # ------------------------------------------------------------ questions
+
+    def press_on(self, group: list[int], way: Way, rest: State) -> Push:
+        """The press that brings some bricks home on what is there: over the middle of their knobs.
+
+        Whoever presses chooses where; a hand or a gripper does that without tilting the brick.
+        """
+        most, chosen, total, where = -1.0, group[0], 0.0, np.zeros(2)
+        for b in group:
+            own = 0.0
+            for other in self.lower[b] if way == "above" else self.upper[b]:
+                if other == GROUND or rest.present[other]:
+                    many, at = self.knobs[(other, b) if way == "above" else (b, other)]
+                    own, total, where = own + many, total + many, where + many * at
+            if own > most:
+                most, chosen = own, b
+        if total == 0:
+            return self.middle(Push(chosen, 0.0, (0.0, 0.0)))
+        x, y = (round(v, 9) for v in (where / total).tolist())
+        return Push(chosen, self.press if way == "above" else -self.press, (x, y))
+
+    def middle(self, push: Push) -> Push:
+        """The same force at the middle of the brick."""
+        x, y = self.blocks[push.block].centroid[:2].tolist()
+        return push._replace(at=(round(x, 9), round(y, 9)))
+
+    def way(self, group: list[int], state: State) -> Way | None:
+        """Along which way some bricks come off together."""
+        rest = _without(state, group).present
+        if not any(rest[self.over[b]].any() for b in group):
+            return "above"
+        based = self.based[group].any() or self.fixed[group].any()
+        if self.help.hands and not based and not any(rest[self.under[b]].any() for b in group):
+            return "below"
+        return None
+
+    def _meets(self, b: int, way: Way, rest: State) -> bool:
+        """Whether a brick meets knobs, or its knobs meet a brick, where it comes to."""
+        others = self.lower[b] if way == "above" else self.upper[b]
+        return any(m == GROUND or rest.present[m] for m in others)
+
+    def loose(self, state: State) -> np.ndarray:
+        """int64[n]: bricks that hang on nothing that stands."""
+        present, count = state.present, len(state.present)
+        a, b = self._pairs
+        on = present[b] & ((a == count) | present[np.minimum(a, count - 1)])
+        still = np.flatnonzero(present & (self.fixed | state.held))
+        first = np.concatenate([a[on], np.full(len(still), count)])
+        last = np.concatenate([b[on], still])
+        graph = sp.coo_matrix((np.ones(len(first)), (first, last)), (count + 1, count + 1))
+        piece = connected_components(graph, directed=False)[1]
+        return np.flatnonzero(present & (piece[:count] != piece[count]))
+
+    def _mates(self, block: int) -> list[int]:
+        return [m for m in (*self.lower[block], *self.upper[block]) if m != GROUND]
+
+
+def _without(state: State, blocks: list[int]) -> State:
+    """The state without some blocks, with the same hands."""
+    present = state.present.copy()
+    present[blocks] = False
+    return State(present, state.held)
+
+
+def _while_held(mate: int | None, steps: list[Doing]) -> list[Doing]:
+    """Steps while a hand holds a brick."""
+    return steps if mate is None else [Doing("hold", mate), *steps, Doing("release", mate)]

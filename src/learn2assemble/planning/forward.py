@@ -1,0 +1,324 @@
+"""What may come next while blocks are put down one after the other, from below.
+
+Each block comes after those it lies on, along a way that is free. A block that does not stand yet
+waits; where every block waits, a hand holds one while the next one comes, or a post is put under
+one, whatever needs the least. What nothing needs any more is let go or taken away at once; props
+that belong to the structure stay until everything stands, or until the block that would close
+their way out has to come. Every state is proven by one of some laws (:mod:`~..statics.laws`), and
+each new block rests without being squeezed in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Protocol
+
+import numpy as np
+
+from learn2assemble.planning.posts import Post
+from learn2assemble.planning.sequence import Doing, Transition
+from learn2assemble.statics.laws import Law
+from learn2assemble.statics.states import State
+
+_TRIES = 4000
+"""Moves looked at before the search gives up."""
+_TOGETHER = 3
+"""Most posts that are placed at once."""
+_NEAREST = 8
+"""Posts that are looked at for that."""
+
+
+class Ways(Protocol):
+    """Room to move."""
+
+    def free(self, block: int, present: np.ndarray) -> bool:
+        """Whether a block can come to its place, or leave it, among the ``present`` ones
+        (bool[B])."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class BuildingSite:
+    """What is to be built of B blocks, and what is known of it.
+
+    Attributes:
+        fixed: bool[B], what stands there from the first.
+        prop: bool[B], what has to go again.
+        near: of each block, those it touches.
+        below: of each block, those that have to be there, or have been, before it comes.
+        rank: int64[B], its place from below.
+        laws: what may carry a state, tried in this order.
+        ways: along which blocks come and go.
+        onward: whether the block that comes next is looked for behind the last one, not again from
+            below.
+    """
+
+    fixed: np.ndarray
+    prop: np.ndarray
+    near: Sequence[Sequence[int]]
+    below: Sequence[Sequence[int]]
+    rank: np.ndarray
+    laws: Sequence[Law]
+    ways: Ways
+    onward: bool = False
+
+
+class Forward:
+    """Blocks put down from below; the rules of a search (:class:`~.sequence.OrderRules`).
+
+    Args:
+        site: what is to be built; its last blocks are the ``posts``.
+        posts: that may be allowed; at first nothing helps.
+    """
+
+    tries = _TRIES
+
+    def __init__(self, site: BuildingSite, posts: Sequence[Post] = ()) -> None:
+        self.site, self.laws, self.posts, self.holds = site, site.laws, posts, 0
+        total = len(site.fixed)
+        self.count = total - len(posts)
+        self.wanted = ~site.fixed & ~site.prop
+        self.start = State(site.fixed.copy(), np.zeros(total, bool))
+        self.end = State(self.wanted | site.fixed, np.zeros(total, bool))
+        self.allowed: set[int] = set()
+        """Posts that may be used."""
+        self._order = np.argsort(site.rank[: self.count], kind="stable")
+        self._under = [
+            sorted(
+                (p for p in site.near[k] if p >= self.count and posts[p - self.count].base != k),
+                key=lambda p, k=k: (posts[p - self.count].carries != k, p),
+            )
+            for k in range(self.count if posts else 0)
+        ]
+        self._known: dict[bytes, tuple[int, int | None]] = {}
+        """Of a state, the last law that was asked, and by which it stands."""
+        self._kept: set[tuple[int, bytes]] = set()
+        self._shut: dict[int, bool] = {}
+
+    def allow(self, posts: Iterable[int], holds: int) -> None:
+        """What may be used from now on; what is known of states is kept.
+
+        Args:
+            posts: these alone.
+            holds: how many blocks may be held while the next one comes.
+        """
+        self.allowed, self.holds = set(posts), holds
+        self._kept.clear()
+
+    @property
+    def patient(self) -> bool:
+        """Dead ends are left again and again where something helps."""
+        return bool(self.allowed or self.holds)
+
+    # ------------------------------------------------------------ states
+
+    def law(self, state: State, most: int | None = None) -> int | None:
+        """The number of the first law by which a state stands, or None.
+
+        Args:
+            most: laws behind this one are not asked, and others give up early.
+        """
+        last = len(self.laws) - 1 if most is None else most
+        asked, found = self._known.get(state.key, (-1, None))
+        for number in range(asked + 1, last + 1):
+            if found is None and self.laws[number].stands(state, most is None):
+                found = number
+        if most is None or found is not None:
+            self._known[state.key] = last, found
+        return found
+
+    def stands(self, state: State, new: Iterable[int] = (), most: int | None = None) -> bool:
+        """Whether a state is proven, and its ``new`` blocks rest in it; ``most`` as in law."""
+        number = self.law(state, most)
+        return number is not None and all(self.laws[number].rests(state, b) for b in new)
+
+    def left(self, state: State) -> tuple[int, int]:
+        """Blocks that are missing, and props and hands that are still there."""
+        missing = int((self.wanted & ~state.present).sum())
+        return missing, int((state.present & self.site.prop).sum() + state.held.sum())
+
+    # ------------------------------------------------------------ moves
+
+    def ready(self, last: Transition) -> list[int]:
+        """Blocks that are missing and whose bases are there, from below."""
+        state, gone, order = last.state, last.gone, self._order
+        left = order[~state.present[order]].tolist()
+        if self.site.onward and left and [step.action for step in last.steps] == ["place"]:
+            turn = self.site.rank[last.steps[0].block]
+            some = self.site.rank[left] > turn
+            left = [*np.array(left)[some].tolist(), *np.array(left)[~some].tolist()]
+        if gone:
+            left = [b for b in left if b not in gone]
+        there, below = state.present, self.site.below
+        found = [b for b in left if all(there[k] or k in gone for k in below[b])]
+        # Stones that lie on one another in a ring have no first one.
+        return found or left
+
+    def moves(self, last: Transition) -> Iterator[Transition]:
+        """What may come next, the least help first."""
+        state, ready, waiting = last.state, [], []
+        for b in self.ready(last):
+            if not self.site.ways.free(b, state.present):
+                continue
+            after = state.change(place=[b])
+            if walled := self.walled(after):
+                waiting.append((b, walled))
+                continue
+            ready.append(b)
+            if any(law.rests(after, b) for law in self.laws) and self.stands(after, [b]):
+                yield Transition((Doing("place", b),), after, last.gone)
+        if self.holds:
+            yield from self._holding(last, ready)
+        if self.allowed:
+            yield from self._posted(last, ready)
+        for b, walled in waiting:
+            yield from self._freeing(last, b, walled)
+
+    def _holding(self, last: Transition, ready: list[int]) -> Iterator[Transition]:
+        """A block that is held as it comes, while others may be let go."""
+        state, near = last.state, self.site.near
+        held = np.flatnonzero(state.held).tolist()
+        left = np.flatnonzero(~state.present[: self.count]).tolist()
+        beside = [b for b in left if b not in ready and state.present[list(near[b])].any()]
+        beside = [b for b in beside if self.site.ways.free(b, state.present)]
+        close, rank = {n for b in held for n in near[b]}, self.site.rank
+        order = sorted([*ready, *beside], key=lambda b: (b not in close, b in beside, rank[b]))
+        for size in range(self.holds + 1):
+            for b in order:
+                taken = state.change(place=[b], hold=[b])
+                if not self.stands(taken):
+                    continue
+                for keep in combinations([b, *held], size):
+                    gone = [h for h in (b, *held) if h not in keep]
+                    after = taken.change(release=gone)
+                    if self.stands(after, gone):
+                        steps = [Doing("place", b), Doing("hold", b)]
+                        steps += [Doing("release", h) for h in gone]
+                        yield Transition(tuple(steps), after, last.gone)
+                        break
+
+    def _posted(self, last: Transition, ready: list[int]) -> Iterator[Transition]:
+        """A block with a post under it, or under what would move with it."""
+        for b in ready:
+            for p in self._under[b]:
+                yield from self._with(last, b, (p,))
+        for b in ready:
+            moving = self.laws[-1].moving(last.state.change(place=[b]))
+            posts = {p for m in moving if m < self.count for p in self._under[m]}
+            some = sorted(posts & self.allowed, key=lambda p: -self.site.rank[p])[:_NEAREST]
+            for size in range(1, _TOGETHER + 1):
+                for chosen in combinations(some, size):
+                    yield from self._with(last, b, chosen)
+
+    def _with(self, last: Transition, block: int, posts: tuple[int, ...]) -> Iterator[Transition]:
+        """A block placed after some posts, if all of it is proven."""
+        state, steps = last.state, []
+        for p in posts:
+            base, after = self.posts[p - self.count].base, state.change(place=[p])
+            based = base < 0 or state.present[base]
+            if p not in self.allowed or state.present[p] or not based:
+                return
+            if not (self.site.ways.free(p, after.present) and self.stands(after)):
+                return
+            steps.append(Doing("place", p))
+            state = after
+        after = state.change(place=[block])
+        if self.site.ways.free(block, state.present) and self.stands(after, [block]):
+            yield Transition((*steps, Doing("place", block)), after, last.gone)
+
+    # ------------------------------------------------------------ what goes again
+
+    def settled(self, move: Transition) -> Transition:
+        """A move, with what is let go and taken away because nothing needs it: posts at once, props
+        of the structure when all else is there."""
+        state, steps, gone = move.state, [*move.steps], move.gone
+        last = not self.left(state)[0]
+        some = self.site.prop.copy()
+        some[: 0 if last else self.count] = False
+        again = bool(some.any() or state.held.any())
+        while again:
+            again = False
+            for b in np.flatnonzero(state.held).tolist():
+                after = state.change(release=[b])
+                if self.stands(after, [b]):
+                    steps.append(Doing("release", b))
+                    state, again = after, True
+            taken, state = self._taken(state, some, last)
+            steps, again = [*steps, *taken], again or bool(taken)
+            gone |= self._own(taken)
+        return Transition(tuple(steps), state, gone)
+
+    def _taken(self, state: State, some: np.ndarray, sure: bool) -> tuple[list[Doing], State]:
+        """Take away those of some props (bool[B]) that nothing needs, from above.
+
+        Args:
+            sure: look at everything that could carry the rest, not only at what is near.
+        """
+        steps = []
+        there = np.flatnonzero(state.present & some).tolist()
+        for p in sorted(there, key=lambda p: -self.site.rank[p]):
+            key = p, b"" if sure else state.present[self._wide(p)].tobytes()
+            if key in self._kept and not sure:
+                continue
+            after = state.change(remove=[p])
+            carried = [n for n in self.site.near[p] if state.present[n] and not self.site.fixed[n]]
+            most = None if sure else self.law(state)
+            if self.stands(after, carried, most) and self.site.ways.free(p, state.present):
+                steps.append(Doing("remove", p))
+                state = after
+            elif not sure:
+                self._kept.add(key)
+        return steps, state
+
+    def _wide(self, block: int) -> list[int]:
+        """Blocks within three contacts."""
+        found = {block}
+        for _ in range(3):
+            found |= {n for b in found for n in self.site.near[b]}
+        return sorted(found)
+
+    def _own(self, steps: Iterable[Doing]) -> frozenset[int]:
+        """Props of the structure that are taken away."""
+        return frozenset(s.block for s in steps if s.action == "remove" and s.block < self.count)
+
+    def walled(self, state: State) -> list[int]:
+        """Props that stand and that the structure walls in, and the props on them."""
+        props = state.present & self.site.prop
+        there = [p for p in np.flatnonzero(props).tolist() if self._encloses(p)]
+        if not there:
+            return []
+        open_ = state.present.copy()
+        open_[there] = False
+        found = [p for p in there if not self.site.ways.free(p, open_)]
+        for p in found:
+            found += [
+                n
+                for n in self.site.near[p]
+                if props[n] and n not in found and p in self.site.below[n]
+            ]
+        return found
+
+    def _encloses(self, prop: int) -> bool:
+        """Whether the finished structure walls a prop in."""
+        if prop not in self._shut:
+            self._shut[prop] = not self.site.ways.free(prop, self.end.present)
+        return self._shut[prop]
+
+    def _freeing(self, last: Transition, block: int, walled: list[int]) -> Iterator[Transition]:
+        """A block that comes after the props have gone that it would wall in, or these steps alone
+        where that is not all."""
+        state, steps, some = last.state, [], np.zeros_like(self.site.prop)
+        some[walled] = True
+        taken = [Doing("remove", walled[0])]
+        while taken:
+            taken, state = self._taken(state, some, True)
+            steps += taken
+        if not steps:
+            return
+        gone = last.gone | self._own(steps)
+        after = state.change(place=[block])
+        if not state.present[walled].any() and self.stands(after, [block]):
+            steps, state = [*steps, Doing("place", block)], after
+        yield Transition(tuple(steps), state, gone)

@@ -1,0 +1,343 @@
+"""The order of given blocks by the law of their joints: dry, or of bricks that clutch.
+
+Dry blocks are put down from below (:mod:`.forward`): without help first, then with hands as far as
+they are there, at last with posts. Of a few blocks the fewest posts are found; of many, those that
+were placed where nothing else helped. Bricks are taken apart (:mod:`.disassembly`). Both are one
+search (:mod:`.sequence`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
+from learn2assemble.assembly.contacts import Contacts, contact_tolerance, find_contacts
+from learn2assemble.linear_programs import Clock
+from learn2assemble.planning.clearance import FreeWays
+from learn2assemble.planning.disassembly import TakingApart
+from learn2assemble.planning.forward import BuildingSite, Forward
+from learn2assemble.planning.posts import find_posts
+from learn2assemble.planning.sequence import (
+    Doing,
+    FoundOrder,
+    Sequenced,
+    Supports,
+    Transition,
+    depth_first,
+    list_ids,
+    reported,
+)
+from learn2assemble.statics.holding_check import stands_by_joints, words_of
+from learn2assemble.statics.laws import ByForces, ByLoads, ByStrength, Law
+from learn2assemble.statics.rigid_blocks import SIDE
+
+_SMALL = 10
+"""Blocks up to which the fewest posts are looked for among all sets of them ..."""
+_SETS = 4000
+"""... as long as these are no more, over the cube of the number of blocks."""
+_NO_SUPPORTS = Supports()
+Progress = Callable[[str], None]
+
+
+class ContactLayer(NamedTuple):
+    """Contacts that may carry, and what a step is called that is proven with them."""
+
+    contacts: Contacts
+    proof: str
+
+
+@dataclass(frozen=True)
+class OrderProblem:
+    """Dry blocks to put in order.
+
+    Attributes:
+        assembly: where they stand; its steps are not looked at.
+        layers: what may carry, tried in this order in every state.
+        friction: coefficients to prove every state for, the smallest first.
+    """
+
+    assembly: Assembly
+    layers: tuple[ContactLayer, ...]
+    friction: tuple[float, ...]
+
+
+# ---------------------------------------------------------------- dry blocks
+
+
+def find_sequence(
+    problem: OrderProblem, supports: Supports, clock: Clock, progress: Progress = lambda text: None
+) -> Sequenced:
+    """Order, supports and proof for dry blocks that are given where they stand."""
+    order = _DryOrder(problem, supports, clock, progress)
+    rules = order.rules
+    end, last = rules.end, rules.laws[-1]
+    stands = rules.law(end) is not None
+    found = order.run()
+    # What is known of states without help stays known with it.
+    for posts in (False, True) if stands else ():
+        if found.complete or clock.left <= 0:
+            break
+        if supports.posts if posts else supports.holds:
+            rules.allow(range(order.count, len(order.blocks)) if posts else (), supports.holds)
+            other = order.run()
+            found = other if other.complete or len(other.steps) > len(found.steps) else found
+            found = order.fewest(found) if posts and found.complete else found
+    made = order.sequenced(found)
+    if stands:
+        return made
+    certain, moving = last.falls(end), last.moving(end)
+    names = list_ids(order.blocks, moving) or "some blocks"
+    reason = f"the finished structure falls: {names} would move first"
+    if not certain:
+        reason = f"that the finished structure stands is not proven: {names} may move"
+    status = "refused" if certain else "not found"
+    return replace(made, status=status, reason=reason, stuck=tuple(moving))
+
+
+def follow_steps(
+    problem: OrderProblem, clock: Clock, progress: Progress = lambda text: None
+) -> Sequenced:
+    """Proof of the steps that an assembly comes with, up to the first state that is not proven."""
+    order = _DryOrder(problem, _NO_SUPPORTS, clock, progress)
+    index = problem.assembly.index
+    steps = [Doing(step.action, index(step.block)) for step in problem.assembly.steps]
+    state, proven = order.rules.start, 0
+    for number, (action, block, _) in enumerate(steps):
+        state = state.change(**{action: [block]})
+        # A block that is held at once is not let go before.
+        ahead = steps[number + 1 : number + 2] == [Doing("hold", block)]
+        new = [block] if action in ("place", "release") and not ahead else []
+        if clock.left <= 0 or not (ahead or order.rules.stands(state, new)):
+            break
+        proven = number + 1
+        progress(f"step {proven}: {order.blocks[block].id}")
+    stuck = () if proven == len(steps) else (steps[proven].block,)
+    return order.sequenced(_Steps(steps[:proven], stuck, not stuck))
+
+
+class _Steps(NamedTuple):
+    """Steps of which every state is proven, and what comes behind them where that is not all."""
+
+    steps: list[Doing]
+    stuck: tuple[int, ...]
+    complete: bool
+
+
+class _DryOrder:
+    """The search for an order of dry blocks, at first without supports."""
+
+    def __init__(
+        self, problem: OrderProblem, supports: Supports, clock: Clock, progress: Progress
+    ) -> None:
+        given = problem.assembly.blocks
+        count, layers, friction = len(given), problem.layers, list(problem.friction)
+        posts = []
+        if supports.posts:
+            lowest = [float(b.vertices[:, 2].min()) for b in given if b.support]
+            posts = find_posts(given, layers[-1].contacts, min(lowest) if lowest else 0.0)
+        made = _distinct(given, [post.block for post in posts])
+        whole = Assembly((*given, *made), friction=problem.assembly.friction)
+        self.blocks, self.count = whole.blocks, count
+        self.clock, self.progress = clock, progress
+        fixed = np.array([block.support for block in self.blocks])
+        if posts:
+            own = find_contacts(whole)
+            own = own.only((own.b >= count) & (own.a < count))
+            layers = tuple(one._replace(contacts=_joined(one.contacts, own)) for one in layers)
+        contacts = layers[-1].contacts
+        laws: list[Law] = [ByForces(whole, *layer, friction) for layer in layers]
+        level = problem.layers[0].contacts
+        if ByLoads.fits(level):
+            laws.insert(0, ByLoads.of_contacts(problem.assembly, level, friction[0], clock))
+        site = BuildingSite(
+            fixed=fixed,
+            prop=np.array([block.prop for block in self.blocks]),
+            near=_neighbours(contacts, len(self.blocks)),
+            below=_lies_on(level, count, fixed),
+            rank=_from_below(self.blocks),
+            laws=laws,
+            ways=FreeWays(self.blocks, contacts, 2 * float(contact_tolerance(given).max()), count),
+        )
+        self.rules = Forward(site, posts)
+
+    def run(self) -> _Steps:
+        """The first complete order that is found, or the longest one."""
+        found = depth_first(self.rules, self.clock, self.progress)
+        steps = [step for move in found.path for step in move.steps]
+        return _Steps(steps, () if found.complete else self._stuck(found), found.complete)
+
+    def fewest(self, found: _Steps) -> _Steps:
+        """An order with fewer posts than one that was found, where the blocks are few."""
+        used = {step.block for step in found.steps if step.block >= self.count}
+        count = int(self.rules.wanted.sum())
+        if count > _SMALL or len(used) < 2:
+            return found
+        self.progress("looking for fewer posts")
+        self.progress = lambda text: None
+        sets = 0
+        for size in range(1, len(used)):
+            for some in combinations(range(self.count, len(self.blocks)), size):
+                sets += 1
+                if sets * count**3 > _SETS or self.clock.left <= 0:
+                    return found
+                self.rules.allow(some, self.rules.holds)
+                answer = self.run()
+                if answer.complete:
+                    return answer
+        return found
+
+    def sequenced(self, found: _Steps) -> Sequenced:
+        """The steps with what is proven of every state, and the posts they use."""
+        used = sorted({step.block for step in found.steps if step.block >= self.count})
+        number = {b: self.count + k for k, b in enumerate(used)}
+        told = reported(self.rules.laws, self.rules.law, self.rules.start, found.steps)
+        made = tuple(step._replace(block=number.get(step.block, step.block)) for step in told)
+        blocks = (*self.blocks[: self.count], *(self.blocks[b] for b in used))
+        if found.complete:
+            return Sequenced(blocks, made, "complete")
+        state = self.rules.start
+        for action, block, _ in found.steps:
+            state = state.change(**{action: [block]})
+        reason = self._why(state.present, found.stuck)
+        return Sequenced(blocks, made, "not found", reason, found.stuck)
+
+    def _stuck(self, found: FoundOrder) -> tuple[int, ...]:
+        """What could not be placed, or not be taken away."""
+        present = found.state.present
+        if present[self.rules.wanted].all():
+            return tuple(np.flatnonzero(present & self.rules.site.prop).tolist())
+        return tuple(
+            self.rules.ready(found.path[-1] if found.path else Transition((), self.rules.start))
+        )
+
+    def _why(self, present: np.ndarray, stuck: tuple[int, ...]) -> str:
+        if self.clock.left <= 0:
+            there = int(present[self.rules.wanted].sum())
+            return f"time ran out after {self.clock.limit:g} s with {there} blocks placed"
+        names = list_ids(self.blocks, stuck)
+        if present[self.rules.wanted].all():
+            return f"{names} cannot be taken away: without, or on the way, something falls"
+        if not any(self.rules.site.ways.free(b, present) for b in stuck):
+            return f"no way to the place of {names} is free"
+        return f"no order found: the next step falls with any of {names}"
+
+
+def _distinct(blocks: Sequence[Block], more: Sequence[Block]) -> list[Block]:
+    """The blocks ``more`` with ids that no other has."""
+    ids = {block.id for block in blocks}
+    made = []
+    for block in more:
+        name = block.id
+        while name in ids:
+            name += "'"
+        ids.add(name)
+        made.append(replace(block, id=name))
+    return made
+
+
+def _joined(contacts: Contacts, more: Contacts) -> Contacts:
+    shifted = more._replace(patch=more.patch + len(contacts.a))
+    return Contacts(*map(np.concatenate, zip(contacts, shifted, strict=True)))
+
+
+def _neighbours(contacts: Contacts, count: int) -> list[list[int]]:
+    near: list[set[int]] = [set() for _ in range(count)]
+    for a, b in zip(contacts.a.tolist(), contacts.b.tolist(), strict=True):
+        if a >= 0:
+            near[a].add(b)
+            near[b].add(a)
+    return [sorted(blocks) for blocks in near]
+
+
+def _lies_on(contacts: Contacts, count: int, fixed: np.ndarray) -> list[list[int]]:
+    """The blocks, supports aside, that each block lies on."""
+    below: list[set[int]] = [set() for _ in range(count)]
+    for a, b, normal in zip(contacts.a.tolist(), contacts.b.tolist(), contacts.normal, strict=True):
+        if a >= 0 and b < count and abs(normal[2]) > SIDE:
+            lower, upper = (a, b) if normal[2] > 0 else (b, a)
+            if not fixed[lower]:
+                below[upper].add(lower)
+    return [sorted(bases) for bases in below]
+
+
+def _from_below(blocks: Sequence[Block]) -> np.ndarray:
+    """int64[B]: the place of every block from below; of those level, from one side to the other."""
+    low = np.array([block.vertices[:, 2].min() for block in blocks])
+    middle = np.array([block.centroid[2] for block in blocks])
+    size = float(np.ptp(blocks[0].vertices, axis=0).max()) * 1e-6
+    order = np.lexsort((np.arange(len(low)), (middle / size).round(), (low / size).round()))
+    return order.argsort()
+
+
+# ---------------------------------------------------------------- bricks that clutch
+
+
+class BrickOrder:
+    """The order of bricks that clutch, every state of which stands, pressed, too.
+
+    Args:
+        assembly: bricks on a lattice of studs whose joints clutch; steps are not looked at.
+
+    Raises:
+        InputError: for blocks that are no bricks on one lattice.
+    """
+
+    def __init__(self, assembly: Assembly) -> None:
+        self.blocks, self.assembly = assembly.blocks, replace(assembly, steps=())
+        self.need, tight, balance, _ = stands_by_joints(self.assembly)
+        self.law = ByStrength(self.assembly, balance, tight)
+
+    def find(
+        self, supports: Supports, clock: Clock, progress: Progress = lambda text: None
+    ) -> Sequenced:
+        """An order with what may help."""
+        if not self.need.stands:
+            moving = self.law.balance.holding().moving
+            reason = f"the finished structure falls: {words_of(self.need)}"
+            reason += f"; {list_ids(self.blocks, moving)} would move first" if moving else ""
+            return Sequenced(self.blocks, (), "refused", reason, tuple(moving))
+        rules = TakingApart(self.assembly, self.law, supports)
+        hanging = rules.hanging()
+        if hanging and not supports.hands:
+            names = list_ids(self.blocks, hanging)
+            reason = f"{names} hang on bricks above: they have to come from below (`hands=`)"
+            return Sequenced(self.blocks, (), "refused", reason, tuple(hanging))
+        found = depth_first(rules, clock, progress)
+        if found.complete:
+            return self._sequenced(rules, rules.read(found.path))
+        stuck = np.flatnonzero(found.state.present & ~rules.fixed).tolist()
+        reason = f"time ran out after {clock.limit:g} s"
+        if clock.left > 0:
+            names = list_ids(self.blocks, stuck)
+            reason = f"no order found: none of {names} can be the last one put there"
+        return Sequenced(self.blocks, (), "not found", reason, tuple(stuck))
+
+    def follow(
+        self, steps: Sequence[AssemblyStep], supports: Supports
+    ) -> tuple[Sequenced | None, str | None]:
+        """The order of a file, where every state of it stands, pressed, too.
+
+        Returns:
+            The order, or None and a note of what its first fault is.
+        """
+        if not self.need.stands:
+            return None, None
+        rules = TakingApart(self.assembly, self.law, supports)
+        index = {block.id: k for k, block in enumerate(self.blocks)}
+        state, made = rules.ground, []
+        for number, step in enumerate(steps, 1):
+            done = rules.follow(state, step, index.get(step.block))
+            if isinstance(done, str):
+                return None, f"step {number} of the file {done}: another order was found"
+            made.append(done)
+            state = state.change(place=[done.block])
+        return self._sequenced(rules, made), None
+
+    def _sequenced(self, rules: TakingApart, steps: Sequence[Doing]) -> Sequenced:
+        made = tuple(reported([self.law], lambda state: 0, rules.ground, steps))
+        return Sequenced(self.blocks, made, "complete")
