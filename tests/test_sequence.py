@@ -276,6 +276,32 @@ def test_without_help_an_arch_is_not_built_and_it_is_said_what_would_help() -> N
     assert plan.steps
 
 
+@pytest.mark.parametrize(
+    ("case", "words"),
+    [
+        ("half", "move first; with posts under v1, v2, v3, v4 to stay it stands"),
+        ("smooth", "move first; with a friction of 0.7 it stands"),
+        ("hung", "b would move first; with a post under b to stay it stands"),
+        ("upright", "falls: wall would move first"),
+    ],
+)
+def test_what_falls_is_named_and_what_would_carry_it(case: str, words: str) -> None:
+    arch = script("arch").arch(9)
+    foot, high = box_block("a", (0, 0, 0), (1, 1, 1)), (box_block("b", (0.7, 0, 1), (1.7, 1, 2)))
+    pillar = box_block("pillar", (0, 0, 0), (1, 1, 1))
+    wall = Block("wall", box_block("w", (-9, 0, 1), (1.2, 1, 9)).vertices, foot.faces)
+    assembly = {
+        "half": replace(arch, blocks=arch.blocks[:5]),
+        "smooth": replace(arch, friction=0.1),
+        "hung": Assembly((foot, high)),
+        # A post under its end is not where it could hold it alone.
+        "upright": Assembly((pillar, wall)),
+    }[case]
+    plan = plan_assembly(assembly)
+    assert plan.status == "refused"
+    assert words in (plan.reason or "")
+
+
 def cantilever() -> Assembly:
     """A beam that its tail holds down: before the tail it falls."""
     return Assembly(

@@ -22,6 +22,7 @@ from learn2assemble.planning.orders import (
 )
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.sequence import Sequenced, Supports, list_ids
+from learn2assemble.planning.what_carries import what_would_carry
 from learn2assemble.statics.proofs import BED, POINTS, TIGHT, Bounds, value_range
 from learn2assemble.statics.rigid_blocks import (
     UNCERTAIN,
@@ -102,6 +103,9 @@ def plan_assembly(
             names = list_ids(found.blocks, found.stuck) or "some blocks"
             reason = f"that the finished structure stands is not certain: {names} may move"
             found = replace(found, status="not found", reason=reason)
+        elif found.status == "refused" and not widest:
+            help_ = what_would_carry(assembly, found.stuck, ends[0], clock)
+            found = replace(found, reason="; ".join(filter(None, (found.reason, help_))))
         elif found.status == "not found":
             found = _advised(found, problem, joints, Supports(supports != "none", holds), clock)
     return plan_of(assembly, found, ends, None if gap is None else (0.0, widest), started)
