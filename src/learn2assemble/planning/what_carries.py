@@ -8,6 +8,7 @@ from dataclasses import replace
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.posts import Post, find_posts
+from learn2assemble.planning.sequence import list_ids
 from learn2assemble.statics.rigid_blocks import Joints
 
 _MOST = 400
@@ -39,16 +40,16 @@ def what_would_carry(
     tries = [[post] for post in list(under.values())[:_EACH]]
     tries += [list(under.values())] if len(under) > 1 else []
     for posts in tries:
-        if clock.left > 0 and len(assembly.blocks) + len(posts) <= _MOST:
-            if _stand(assembly, posts, friction):
-                names = [assembly.blocks[post.carries].id for post in posts]
-                some = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if names[4:] else "")
-                one = len(posts) == 1
-                return f"with {'a post' if one else 'posts'} under {some} to stay it stands"
+        few = clock.left > 0 and len(assembly.blocks) + len(posts) <= _MOST
+        if few and _stand(assembly, posts, friction):
+            names = list_ids(assembly.blocks, [post.carries for post in posts])
+            return (
+                f"with {'a post' if len(posts) == 1 else 'posts'} under {names} to stay it stands"
+            )
+    few = len(assembly.blocks) <= _MOST
     for more in _ROUGH:
-        if more > friction and clock.left > 0 and len(assembly.blocks) <= _MOST:
-            if joints.decide(more).result.stands:
-                return f"with a friction of {more:g} it stands"
+        if few and more > friction and clock.left > 0 and joints.decide(more).result.stands:
+            return f"with a friction of {more:g} it stands"
     return ""
 
 
