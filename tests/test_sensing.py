@@ -25,7 +25,7 @@ SHIFTED = tuple((np.array(WEDGE.corners) - [0.04, 0.025, 0.02]).tolist())
 
 def looked(camera: DepthCamera, solids: list, believed: Believed, seed: int = 0) -> Seen:
     model, data = still_scene(solids)
-    picture = SimulatedCamera(camera, seed=seed).look(model, data)
+    picture = SimulatedCamera(camera, seed=seed).look([(model, data)])
     return register(views_of([picture], [camera]), believed)
 
 
@@ -49,10 +49,10 @@ def test_noise_grows_with_distance_and_edges_are_lost() -> None:
     for height, sigma in ((1.0, 0.003), (2.0, 0.009)):
         pose = (0.0, 0.0, height, *looking(np.array([0.0, 0.0, -1.0])))
         camera = DepthCamera("above", pose, frames=1, noise=noise)
-        depth = SimulatedCamera(camera).look(*still_scene([(BRICK, lying(0.0, 0.0, 0.0))])).depth
+        depth = SimulatedCamera(camera).look([still_scene([(BRICK, lying(0.0, 0.0, 0.0))])]).depth
         assert np.std(depth[:100]) == pytest.approx(sigma, rel=0.05)
         assert 50 < (depth == 0).sum() < 1000
-    many = SimulatedCamera(replace(camera, frames=9)).look(*still_scene([])).depth
+    many = SimulatedCamera(replace(camera, frames=9)).look([still_scene([])]).depth
     assert np.std(many[:100]) < 0.5 * sigma
     assert many.dtype == np.float32
 
@@ -62,7 +62,7 @@ def test_a_camera_in_a_block_and_one_that_looks_away_see_nothing() -> None:
     inside = DepthCamera("inside", (0.0, 0.0, 0.015, *looking(np.array([1.0, 0.0, 0.0]))))
     away = DepthCamera("away", (0.0, 0.0, 1.0, *looking(np.array([0.3, 0.0, 1.0]))))
     for camera in (inside, away):
-        picture = SimulatedCamera(camera).look(model, data)
+        picture = SimulatedCamera(camera).look([(model, data)])
         assert picture.blind
         seen = register(views_of([picture], [camera]), Believed("a", BRICK, lying(0.0, 0.0, 0.0)))
         assert seen.look == Look.HIDDEN
@@ -138,7 +138,7 @@ def test_blocks_that_are_not_there_and_blocks_behind_others_are_told_apart() -> 
 def test_what_is_not_known_of_the_camera_is_not_known_of_the_block() -> None:
     true = lying(0.0, 0.0, 0.2)
     model, data = still_scene([(BRICK, true)])
-    picture = SimulatedCamera(CORNER).look(model, data)
+    picture = SimulatedCamera(CORNER).look([(model, data)])
     sure = register(views_of([picture], [CORNER]), Believed("a", BRICK, true, TURNS))
     spread = np.diag([1e-6] * 3 + [1e-4] * 3)
     unsure = replace(CORNER, covariance=tuple(map(tuple, spread.tolist())))

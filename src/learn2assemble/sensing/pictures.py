@@ -8,18 +8,21 @@ slowly over the picture and stays, readings lost or mixed beside edges, and read
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from learn2assemble.robot.arm import Arm, arm_model
 from learn2assemble.robot.bodies import Shape
 from learn2assemble.robot.scene import mesh_of
 from learn2assemble.sensing.camera import DepthCamera, DepthNoise, DepthPicture, rotation
 
 JUMP = 0.008
 """Neighbouring pixels whose depths differ by this share of them are beside an edge."""
+Scenery = tuple[Any, Any]
+"""A MuJoCo model and its data."""
 WAVES = (6, 8)
 """Rows and columns of the grid between which the slowly varying error is smooth."""
 
@@ -91,9 +94,12 @@ class SimulatedCamera:
         grid = self.rng.standard_normal(WAVES)
         self.waves = np.asarray(zoom(grid, (rows / WAVES[0], columns / WAVES[1]), order=1))
 
-    def look(self, model: mujoco.MjModel, data: mujoco.MjData, time: float = 0.0) -> DepthPicture:
-        """What it sees of a simulated scene, see :func:`true_depth` and :func:`noisy`."""
-        there, noise = true_depth(model, data, self.camera), self.camera.noise
+    def look(self, scenes: Sequence[Scenery], time: float = 0.0) -> DepthPicture:
+        """What it sees of simulated scenes that are one, see :func:`true_depth` and
+        :func:`noisy`."""
+        depths = np.array([true_depth(*scene, self.camera) for scene in scenes])
+        there = np.where(depths > 0, depths, np.inf).min(0)
+        there, noise = np.where(np.isfinite(there), there, 0.0), self.camera.noise
         frames = np.array(
             [noisy(there, noise, self.waves, self.rng) for _ in range(self.camera.frames)]
         )
@@ -111,7 +117,7 @@ def _median(frames: np.ndarray) -> np.ndarray:
     return np.where(count > 0, (low + high) / 2, 0.0)
 
 
-def still_scene(solids: Sequence[tuple[Shape, np.ndarray]]) -> tuple[Any, Any]:
+def still_scene(solids: Sequence[tuple[Shape, np.ndarray]]) -> Scenery:
     """A scene in which nothing moves: the table, and blocks at poses float64[7]; its MuJoCo model
     and data."""
     spec = mujoco.MjSpec()
@@ -129,3 +135,46 @@ def still_scene(solids: Sequence[tuple[Shape, np.ndarray]]) -> tuple[Any, Any]:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     return model, data
+
+
+class CellCameras:
+    """The cameras of a simulated cell: they see its blocks, its table and its arm.
+
+    Args:
+        arm: of the cell.
+        cameras: as the layout has them.
+        errors: by name, by how much a camera truly is elsewhere, see :class:`SimulatedCamera`.
+        seed: of their noise.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        cameras: Sequence[DepthCamera],
+        errors: Mapping[str, Sequence[float] | np.ndarray] | None = None,
+        seed: int = 0,
+    ) -> None:
+        given = errors or {}
+        self.cameras = [
+            SimulatedCamera(camera, given.get(camera.name, (0.0,) * 6), seed + k)
+            for k, camera in enumerate(cameras)
+        ]
+        self.model = arm_model(arm)
+        self.data = mujoco.MjData(self.model)
+        names = [self.model.joint(name).qposadr[0] for name in arm.joints]
+        self.joint = np.array(names)
+
+    def look(
+        self, solids: Sequence[tuple[Shape, np.ndarray]], joints: np.ndarray, time: float
+    ) -> list[DepthPicture]:
+        """One picture of each.
+
+        Args:
+            solids: blocks and their poses float64[7].
+            joints: float64[n] of the arm [rad].
+            time: [s of the plant's clock]
+        """
+        scene = still_scene(solids)
+        self.data.qpos[self.joint] = joints
+        mujoco.mj_kinematics(self.model, self.data)
+        return [camera.look([scene, (self.model, self.data)], time) for camera in self.cameras]

@@ -88,6 +88,8 @@ class Seen(NamedTuple):
     """float64[6, 6]: position [m] and small rotation about the axes of the world [rad]."""
     pixels: int
     """That lie on its faces."""
+    behind: int = 0
+    """Pixels that show what is behind it."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +144,7 @@ COUNTS = 5
 
 
 @njit(cache=True)
-def _hit(origin, way, normals, offsets, starts):
+def ray_meets(origin, way, normals, offsets, starts):
     """Depth along a ray, the face it meets, and how far from the border of that; face -1: none."""
     best, face, border = np.inf, -1, 0.0
     for part in range(len(starts) - 1):
@@ -224,7 +226,7 @@ def _faces(picture, window, camera, block, shape, noise, gate, waves, sums):
         for u in range(window[2], window[3], stride):
             ray = rays[v, u]
             _turned(between, ray, way)
-            there, face, border = _hit(origin, way, normals, offsets, starts)
+            there, face, border = ray_meets(origin, way, normals, offsets, starts)
             if face < 0:
                 continue
             read = depth[v, u]
@@ -379,7 +381,7 @@ def _outlines(picture, camera, block, shape, noise, seen_faces, reach, sums):
                         first = count
                 if first >= 0 and far > 1.0:
                     # An outline only where the shape itself is not what lies behind.
-                    _, other, _ = _hit(origin, way, normals, offsets, starts)
+                    _, other, _ = ray_meets(origin, way, normals, offsets, starts)
                     if other >= 0:
                         count = 0
                         break
@@ -455,7 +457,7 @@ def views_of(
     return tuple(found)
 
 
-def _window(view: PreparedPicture, corners: np.ndarray, most: int) -> np.ndarray | None:
+def window_of(view: PreparedPicture, corners: np.ndarray, most: int = 1 << 30) -> np.ndarray | None:
     """int64[5]: rows, columns and stride of the pixels that may show a block with these corners;
     None: none do.
 
@@ -506,7 +508,7 @@ def _normal_equations(
     arrays = shape.normals, shape.offsets, shape.starts, shape.edges, shape.beside
     corners = pose[:3] + shape.corners @ block[1].T
     for view in views:
-        window = _window(view, corners, most)
+        window = window_of(view, corners, most)
         if window is None:
             of_faces.append(np.zeros(len(shape.normals)))
             continue
@@ -565,12 +567,12 @@ def register(views: Sequence[PreparedPicture], believed: Believed) -> Seen:
         look = Look.ABSENT
     worse = max(1.0, sums.squares / max(int(sums.counts[0]) - 6, 1))
     covariance = np.linalg.inv((sums.information + 1e-3 * prior) / worse + prior * 0.999)
+    on, border, _, behind, _ = sums.counts.tolist()
     if look != Look.SEEN:
-        return Seen(believed.block, look, start, covariance, int(sums.counts[0]))
+        return Seen(believed.block, look, start, covariance, on + border, behind)
     covariance = (covariance + covariance.T) / 2 + _of_cameras(views, pose, sums.of_face)
-    return Seen(
-        believed.block, look, _nearest(pose, start, believed.turns), covariance, int(sums.counts[0])
-    )
+    pose = _nearest(pose, start, believed.turns)
+    return Seen(believed.block, look, pose, covariance, on + border, behind)
 
 
 def _looks(counts: np.ndarray, views: Sequence[PreparedPicture]) -> Look:

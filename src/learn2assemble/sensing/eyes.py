@@ -1,0 +1,210 @@
+"""A plant that is seen through cameras: what they show becomes readings of blocks.
+
+It stands on the side that decides. It knows where the layout has the cameras, the shapes of blocks,
+what was asked of magazines, and what the arm did since; of the cell itself it gets pictures and
+what the plant behind it senses. A block that no camera shows yields no reading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
+from learn2assemble.motion.plant import (
+    BlockReading,
+    Guard,
+    Motion,
+    Plant,
+    Readings,
+    Report,
+    Request,
+    Stop,
+    ToolCommand,
+    ToolReading,
+)
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.bodies import Shape, body_of
+from learn2assemble.robot.kinematics import forward, get_chain
+from learn2assemble.sensing.camera import DepthCamera, DepthPicture
+from learn2assemble.sensing.registration import Believed, Look, Seen, register, views_of
+from learn2assemble.sensing.search import find
+
+IN_HAND = (0.004, 0.05)
+"""How far what the arm carried may be from where it should be: standard deviations [m], [rad]."""
+AT_REST = (0.004, 0.05)
+"""The same of what lies where it was seen last, or where a magazine presents it."""
+NEAR_TOOL = 0.06
+"""What the tool has taken hold of is the block whose surface is nearest, within this [m]."""
+
+
+class Sort(NamedTuple):
+    """What a block looks like."""
+
+    shape: Shape
+    turns: tuple[np.ndarray, ...] = (np.eye(3),)
+    """Rotations float64[3, 3] that leave the shape as it is, the one that does nothing first."""
+
+
+class SeeingPlant:
+    """A plant whose blocks are seen by cameras.
+
+    Args:
+        plant: behind it; what it says of blocks is not used.
+        arm: of it.
+        cameras: where they are taken to be.
+        pictures: takes one picture with each.
+        sorts: by the names that blocks have in the plan.
+        waiting: float64[7] by name: blocks on the table from the beginning, and where.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        arm: Arm,
+        cameras: Sequence[DepthCamera],
+        pictures: Callable[[], Sequence[DepthPicture]],
+        sorts: Mapping[str, Sort],
+        waiting: Mapping[str, np.ndarray],
+    ) -> None:
+        self.plant, self.cameras, self.pictures = plant, tuple(cameras), pictures
+        self.chain, self.sorts = get_chain(arm), sorts
+        self.kind = {name: name for name in waiting}
+        """Names in the plan of the blocks that there are."""
+        self.expected: dict[str, np.ndarray | None] = {n: p.copy() for n, p in waiting.items()}
+        """float64[7]: where each should be; None: that is not known."""
+        self.held: tuple[str, np.ndarray, np.ndarray] | None = None
+        """The block in the hand, its position and rotation in the tool frame."""
+        self.period = max((1 / camera.rate for camera in self.cameras), default=0.0)
+        self.last: tuple[float, tuple[BlockReading, ...]] | None = None
+        self.looks = 0
+
+    # ------------------------------------------------------------ as a plant
+
+    def sense(self) -> Readings:
+        """See :class:`~learn2assemble.motion.plant.Plant`; two looks within the time of a picture
+        show the same one."""
+        readings = self.plant.sense()
+        if self.last is None or readings.time - self.last[0] >= self.period - 1e-9:
+            self.last = readings.time, self._look(readings)
+        return readings._replace(blocks=self.last[1])
+
+    def execute(
+        self,
+        motion: Motion,
+        commands: Sequence[ToolCommand] = (),
+        guards: Sequence[Guard] = (),
+    ) -> Report:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        report = self.plant.execute(motion, commands, guards)
+        self._follow(report)
+        return report
+
+    def request(self, request: Request) -> Report:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        report = self.plant.request(request)
+        if report.stop == Stop.END:
+            if request.what in ("present", "place"):
+                self.kind[request.block] = request.kind
+                self.expected[request.block] = np.array(request.pose, float)
+            else:
+                self.kind.pop(request.block, None)
+                self.expected.pop(request.block, None)
+            self.last = None
+        return report
+
+    def stop(self) -> None:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        self.plant.stop()
+
+    def close(self) -> None:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        self.plant.close()
+
+    # ------------------------------------------------------------ looking
+
+    def _look(self, readings: Readings) -> tuple[BlockReading, ...]:
+        """What the cameras show now."""
+        self.looks += 1
+        views = views_of(self.pictures(), self.cameras)
+        seen: dict[str, Seen] = {}
+        for name, pose in self.expected.items():
+            if pose is not None and views:
+                seen[name] = register(views, self._believed(name, pose))
+        for name, one in seen.items():
+            if one.look == Look.ABSENT and not (self.held and self.held[0] == name):
+                self.expected[name] = None
+        lost = [self._believed(n, None) for n, pose in self.expected.items() if pose is None]
+        if lost and views:
+            known = [
+                (self._sort(n).shape, one.pose)
+                for n, one in seen.items()
+                if self.expected[n] is not None
+            ]
+            for one in find(views, lost, known):
+                seen[one.block] = one
+        found = []
+        for name, one in seen.items():
+            if one.look == Look.SEEN:
+                self._keep(name, one.pose, readings)
+                reading = BlockReading(name, one.pose, one.covariance, readings.time)
+                found.append(reading)
+        return tuple(found)
+
+    def _sort(self, name: str) -> Sort:
+        return self.sorts[self.kind[name]]
+
+    def _believed(self, name: str, pose: np.ndarray | None) -> Believed:
+        sort = self._sort(name)
+        return Believed(name, sort.shape, pose, sort.turns, AT_REST)
+
+    def _keep(self, name: str, pose: np.ndarray, readings: Readings) -> None:
+        """A block was seen there."""
+        self.expected[name] = pose.copy()
+        if self.held is not None and self.held[0] == name:
+            self.held = name, *self._in_tool(pose, readings.joints)
+
+    def _in_tool(self, pose: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        place, turn = forward(self.chain, joints)
+        return turn.T @ (pose[:3] - place), turn.T @ quaternion_matrix(pose[3:])
+
+    # ------------------------------------------------------------ what the arm did
+
+    def _follow(self, report: Report) -> None:
+        """What is in the hand moved with it."""
+        holds = holding(report.tool)
+        if self.held is not None:
+            name, where, way = self.held
+            place, turn = forward(self.chain, report.joints)
+            pose = np.array([*(place + turn @ where), *matrix_quaternion(turn @ way)])
+            self.expected[name] = pose
+            if report.stop in (Stop.VACUUM, Stop.WIDTH):
+                self.expected[name] = None
+            if not holds:
+                self.held = None
+        elif holds:
+            name = self._nearest(report.joints)
+            if name is not None:
+                pose = self.expected[name]
+                assert pose is not None
+                self.held = name, *self._in_tool(pose, report.joints)
+
+    def _nearest(self, joints: np.ndarray) -> str | None:
+        """The block that is nearest to the tool."""
+        point = forward(self.chain, joints)[0]
+        best, found = NEAR_TOOL, None
+        for name, pose in self.expected.items():
+            if pose is not None:
+                hull = body_of(self._sort(name).shape).hull
+                local = quaternion_matrix(pose[3:]).T @ (point - pose[:3])
+                away = float((hull.normals @ local - hull.offsets).max())
+                if away < best:
+                    best, found = away, name
+        return found
+
+
+def holding(tool: ToolReading) -> bool:
+    """Whether a tool says that it has taken hold of something."""
+    return bool(tool.vacuum) or (tool.grip or 0.0) > 1.0
