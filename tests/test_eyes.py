@@ -1,0 +1,233 @@
+"""What is lost is found, tags, and a plant that is seen through cameras (``docs/sensing.md``)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, yaw_matrix
+from learn2assemble.motion.plant import (
+    Checked,
+    Motion,
+    Readings,
+    Report,
+    Request,
+    Stop,
+    ToolReading,
+    standing,
+)
+from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.kinematics import forward, get_chain
+from learn2assemble.sensing.camera import DepthCamera, DepthPicture, looking
+from learn2assemble.sensing.eyes import SeeingPlant, Sort
+from learn2assemble.sensing.pictures import CellCameras, SimulatedCamera, still_scene
+from learn2assemble.sensing.registration import Believed, Look, register, views_of
+from learn2assemble.sensing.search import find
+from seen_scenes import BRICK, CORNER, TURNS, lying, off_by, shifted
+
+OTHER = DepthCamera("other", (-0.6, 0.4, 0.8, *looking(np.array([0.6, -0.4, -0.8]))))
+BOTH = (CORNER, OTHER)
+
+
+def seen_by(cameras: tuple[DepthCamera, ...], solids: list, seed: int = 0) -> list[DepthPicture]:
+    scene = still_scene(solids)
+    return [SimulatedCamera(camera, seed=seed).look([scene]) for camera in cameras]
+
+
+# ---------------------------------------------------------------- what is lost
+
+
+def test_blocks_that_were_dropped_are_found_on_any_face() -> None:
+    wall = [(BRICK, lying(0.0801 * x, 0.1, 0.0, 0.015 + 0.03 * z)) for z in (0, 1) for x in (0, 1)]
+    on_its_side = yaw_matrix(0.7) @ np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    side = np.array([0.1, -0.15, 0.02, *matrix_quaternion(on_its_side)])
+    flat = lying(-0.12, -0.1, -0.4)
+    views = views_of(seen_by(BOTH, [*wall, (BRICK, flat), (BRICK, side)]), BOTH)
+    lost = [Believed(name, BRICK, None, TURNS) for name in ("a", "b", "c")]
+    found = find(views, lost, wall)
+    assert [one.look for one in found] == [Look.SEEN, Look.SEEN]
+    for true in (flat, side):
+        assert min(np.linalg.norm(one.pose[:3] - true[:3]) for one in found) < 0.001
+    assert not find(views_of(seen_by(BOTH, wall), BOTH), lost, wall)
+
+
+# ---------------------------------------------------------------- tags
+
+
+def test_tags_tell_which_block_is_where() -> None:
+    pytest.importorskip("pupil_apriltags")
+    from learn2assemble.sensing.tags import BlockTag, drawn, tagged_readings
+
+    near = DepthCamera("near", (0.2, 0.2, 0.35, *looking(np.array([-0.2, -0.2, -0.35]))), frames=1)
+    tags = {n: BlockTag(f"b{n}", np.array([0.0, 0, 0.015, 1, 0, 0, 0]), 0.03) for n in (3, 7)}
+    where = {"b3": lying(0.03, 0.02, 0.4), "b7": lying(-0.05, -0.04, -1.0)}
+    printed = [(n, shifted(where[f"b{n}"], [0, 0, 0.015]), 0.03) for n in tags]
+    (picture,) = seen_by((near,), [(BRICK, pose) for pose in where.values()])
+    assert not tagged_readings(picture, near, tags, {})
+    picture = drawn(picture, near, [*printed, (11, lying(0.1, -0.1, 0.0, 1e-4), 0.03)])
+    for believed in ({}, where):
+        readings = tagged_readings(picture, near, tags, believed)
+        assert sorted(one.block for one in readings) == ["b3", "b7"]
+        for one in readings:
+            off = off_by(one.pose, where[one.block])
+            assert np.linalg.norm(off[:3]) < 0.0015
+            assert np.linalg.norm(off[3:]) < 0.03
+            assert off @ np.linalg.solve(one.covariance, off) < 40
+
+
+def test_a_tag_behind_a_block_is_not_seen() -> None:
+    pytest.importorskip("pupil_apriltags")
+    from learn2assemble.sensing.tags import detect, drawn
+
+    above = DepthCamera("above", (0, 0, 0.4, *looking(np.array([0.0, 0, -1]))), frames=1)
+    (free,) = seen_by((above,), [])
+    (covered,) = seen_by((above,), [(BRICK, lying(0.0, 0.0, 0.0))])
+    tag = [(5, lying(0.0, 0.0, 0.0, 1e-4), 0.03)]
+    assert [one.number for one in detect(drawn(free, above, tag).grey)] == [5]
+    assert not detect(drawn(covered, above, tag).grey)
+
+
+# ---------------------------------------------------------------- another library
+
+
+def test_small_gicp_finds_the_same_top() -> None:
+    """Point to plane by another library, on points of the faces that are seen."""
+    gicp = pytest.importorskip("small_gicp")
+    ours, theirs = [], []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        true = lying(*rng.uniform(-0.1, 0.1, 2), rng.uniform(-3, 3))
+        near = shifted(true, rng.normal(0, 0.001, 2))
+        (picture,) = seen_by((CORNER,), [(BRICK, true)], seed)
+        points = CORNER.points(picture.depth.astype(float))[picture.depth > 0]
+        local = (points - near[:3]) @ quaternion_matrix(near[3:])
+        close = (np.abs(local) < np.array(BRICK[0].half) + 0.006).all(1) & (points[:, 2] > 0.006)
+        grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 41)] * 2), -1).reshape(-1, 2)
+        faces = [np.insert(grid, k, s, 1) * BRICK[0].half for k in range(3) for s in (-1, 1)]
+        toward = quaternion_matrix(near[3:]).T @ (CORNER.position - near[:3])
+        model = np.vstack([f for f in faces if toward @ f.mean(0) > np.abs(f.mean(0)).max() ** 2])
+        found = gicp.align(
+            model,
+            local[close],
+            registration_type="PLANE_ICP",
+            max_correspondence_distance=0.008,
+            downsampling_resolution=0.0015,
+            num_threads=1,
+        ).T_target_source
+        there = near[:3] - quaternion_matrix(near[3:]) @ found[:3, :3].T @ found[:3, 3]
+        theirs.append(np.linalg.norm(there - true[:3]))
+        seen = register(views_of([picture], [CORNER]), Believed("a", BRICK, near, TURNS))
+        ours.append(np.linalg.norm(seen.pose[:3] - true[:3]))
+    assert np.median(ours) < 0.0005
+    assert np.median(theirs) < 0.0008
+
+
+# ---------------------------------------------------------------- a plant
+
+
+class Bench:
+    """A cell in which the hand is where it is told to be, and blocks stick to it."""
+
+    def __init__(self) -> None:
+        self.arm = get_arm("ur5e", tool="suction")
+        self.joints, self.time, self.vacuum = self.arm.home.copy(), 0.0, False
+        self.blocks: dict[str, np.ndarray] = {}
+        self.moved = np.zeros(3)
+        self.looks = 0
+        self.cameras = CellCameras(self.arm, BOTH, seed=3)
+
+    def sense(self) -> Readings:
+        tool, velocity = ToolReading(vacuum=self.vacuum), np.zeros_like(self.joints)
+        return Readings(self.time, self.joints, velocity, (), tool, "ur5e")
+
+    def pictures(self) -> list[DepthPicture]:
+        self.looks += 1
+        return self.cameras.look([(BRICK, p) for p in self.blocks.values()], self.joints, self.time)
+
+    def execute(self, motion: Motion, commands: object = (), guards: object = ()) -> Report:
+        self.time += motion.seconds
+        return Report(
+            Stop.END, 1.0, self.joints, motion.seconds, "", ToolReading(vacuum=self.vacuum)
+        )
+
+    def request(self, request: Request) -> Report:
+        if request.what == "present":
+            self.blocks[request.block] = shifted(request.pose, [0.002, -0.001])
+        else:
+            self.blocks.pop(request.block, None)
+        return Report(Stop.END, 1.0, self.joints, 0.0)
+
+    def stop(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+def seeing(bench: Bench, waiting: dict[str, np.ndarray]) -> SeeingPlant:
+    sorts = {name: Sort(BRICK, TURNS) for name in ("a", "b", "c")}
+    return SeeingPlant(bench, bench.arm, BOTH, bench.pictures, sorts, waiting)
+
+
+def test_a_plant_seen_through_cameras() -> None:
+    bench = Bench()
+    first = lying(-0.1, 0.05, 0.3)
+    bench.blocks["a"] = shifted(first, [-0.002, 0.001])
+    plant = seeing(bench, {"a": first})
+    checked = Checked(plant, "ur5e", 6, {"a", "b", "b2"})
+    readings = checked.sense()
+    assert [one.block for one in readings.blocks] == ["a"]
+    assert np.linalg.norm(readings.blocks[0].pose[:3] - bench.blocks["a"][:3]) < 0.001
+    # Within the time of a picture the same one is shown.
+    assert checked.sense().blocks[0].pose is readings.blocks[0].pose
+    assert bench.looks == 1
+    where = lying(0.1, -0.05, 0.0)
+    checked.request(Request("present", "b2", "b", where))
+    seen = {one.block: one.pose for one in checked.sense().blocks}
+    assert np.linalg.norm(seen["b2"][:3] - bench.blocks["b2"][:3]) < 0.001
+    # Somebody carries it away, and it is found; then it is gone, and not seen.
+    bench.blocks["b2"] = lying(0.05, 0.2, 1.0)
+    checked.execute(standing("home", bench.joints, 0.2))
+    seen = {one.block: one.pose for one in checked.sense().blocks}
+    assert np.linalg.norm(seen["b2"][:3] - bench.blocks["b2"][:3]) < 0.001
+    checked.request(Request("return", "b2", "b", where))
+    assert {one.block for one in checked.sense().blocks} == {"a"}
+    bench.blocks.clear()
+    checked.execute(standing("home", bench.joints, 0.2))
+    assert not checked.sense().blocks
+
+
+def test_what_is_in_the_hand_is_expected_where_the_hand_is() -> None:
+    bench = Bench()
+    place, turn = forward(get_chain(bench.arm), bench.joints)
+    held = np.array([*(place + turn @ [0, 0, 0.015]), *matrix_quaternion(turn)])
+    bench.blocks["a"] = held
+    plant = seeing(bench, {"a": held})
+    bench.vacuum = True
+    plant.execute(standing("grasp", bench.joints, 0.1))
+    assert plant.held is not None
+    assert plant.held[0] == "a"
+    bench.joints = bench.joints + np.array([0.2, 0, 0, 0, 0, 0.1])
+    plant.execute(standing("cross", bench.joints, 0.1))
+    place, turn = forward(get_chain(bench.arm), bench.joints)
+    expected = plant.expected["a"]
+    assert expected is not None
+    assert np.abs(expected[:3] - place - turn @ [0, 0, 0.015]).max() < 1e-6
+    bench.vacuum = False
+    plant.execute(standing("release", bench.joints, 0.1))
+    assert plant.held is None
+
+
+def test_without_cameras_nothing_is_seen() -> None:
+    bench = Bench()
+    bench.cameras = CellCameras(bench.arm, ())
+    bench.blocks["a"] = lying(0.0, 0.0, 0.0)
+    plant = SeeingPlant(
+        bench, bench.arm, (), bench.pictures, {"a": Sort(BRICK)}, {"a": bench.blocks["a"]}
+    )
+    assert plant.sense().blocks == ()
+    # Pictures of cameras that the layout does not have, or of another size, say nothing.
+    strange = replace(CORNER, name="strange")
+    small = replace(CORNER, resolution=(64, 48))
+    assert not views_of(seen_by((strange,), []), BOTH)
+    assert not views_of(seen_by((small,), []), BOTH)
