@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly
-from learn2assemble.assembly.bricks.lattice import GROUND, StudLattice
-from learn2assemble.cell.workcell import Job, Structure
+from learn2assemble.assembly.bricks.lattice import GROUND, StudLattice, grip
+from learn2assemble.cell.workcell import STANDING, Job, Rows, Structure, WorkcellBlocks
 from learn2assemble.errors import InputError
+from learn2assemble.robot.studs import StudJoint, Studs
 from learn2assemble.statics.holding import Push
 from learn2assemble.statics.holding_check import stands_by_joints
 from learn2assemble.statics.proofs import CLUTCH, CLUTCH_TIGHT
@@ -140,6 +141,33 @@ class BrickStates:
         """What shows that its states stand."""
         return CLUTCH_TIGHT if self.tight else CLUTCH
 
+    def stud_joint(self, lower: int, upper: int) -> StudJoint:
+        """A joint of two bricks where they are in the structure, as a simulation takes it; its
+        cells are the numbers of the bricks."""
+        lattice, (stud, layer) = self.lattice, self.joint.pitch
+        corner = lattice.low[upper, :2]
+        first, last = corner, lattice.high[upper, :2]
+        if lower != GROUND:
+            first = np.maximum(first, lattice.low[lower, :2])
+            last = np.minimum(last, lattice.high[lower, :2])
+        (a, b), (x, y) = lattice.size[upper, :2].tolist(), (first - corner).tolist()
+        found = grip(x, y, *(last - first).tolist(), (a, b))
+        middle = np.array([a, b]) / 2
+        unit = np.array([stud, stud, layer])
+        at = lattice.offset + (lattice.low[upper] + lattice.size[upper] / 2) * unit
+        if lower != GROUND:
+            at = at - lattice.offset - (lattice.low[lower] + lattice.size[lower] / 2) * unit
+        u, v = ((np.array(found.middle) - middle) * stud).tolist()
+        return StudJoint(
+            lower,
+            upper,
+            (float(at[0]), float(at[1]), float(at[2])),
+            found.pull * self.joint.capacity,
+            (u, v),
+            tuple((float(p), float(q)) for p, q in (found.corners - middle) * stud),
+            False,
+        )
+
 
 class BrickStructure(Structure):
     """What is pressed on what, and whether a state stands.
@@ -157,6 +185,63 @@ class BrickStructure(Structure):
         self.below = [lower - {GROUND} for lower in states.lower]
         self.above = states.upper
         self._proven = {frozenset[int]()}
+        self._joints = {
+            pair: states.stud_joint(*pair)
+            for pair in states.knobs
+            if pair[0] != GROUND or states.joint.base == "grips"
+        }
+
+    def joints_of(
+        self, world: WorkcellBlocks, rows: Rows, placing: bool, group: tuple[int, ...] = ()
+    ) -> Studs:
+        """The joints of a scene, in its rows.
+
+        Args:
+            rows: the scene, in which a brick waits, perhaps with what it brings along.
+            placing: whether it comes to its place.
+            group: what it brings along.
+        """
+        row = {k: n for n, k in enumerate(rows.owner.tolist()) if 0 <= k < self.states.count}
+        moving = {int(rows.owner[-1]), *group, *rows.owner[rows.scene.num_placed :].tolist()}
+        beside = world.beside.copy()
+        if group:
+            beside[list(moving)] = 0.0
+        found = []
+        for (a, b), joint in self._joints.items():
+            there = [k for k in (a, b) if k != GROUND]
+            if any(k not in row for k in there) or not all(
+                k in moving or world.state[k] == STANDING for k in there
+            ):
+                continue
+            home = (a, b) in world.home
+            apart = beside[b].any() if a == GROUND else (beside[a] != beside[b]).any()
+            if home or (placing and not apart):
+                lower = GROUND if a == GROUND else row[a]
+                found.append(joint._replace(lower=lower, upper=row[b], home=home))
+        return Studs(tuple(found), self.states.joint.press)
+
+    def press_at(
+        self, block: int, group: tuple[int, ...], standing: set[int]
+    ) -> tuple[float, float] | None:
+        """Where a brick that comes to its place, perhaps with others, is pressed home, x and y from
+        its own middle [m]; None: it is not pressed."""
+        push = self.states.press_on((block, *group), frozenset(standing))
+        if push is None:
+            return None
+        x, y = self.job.pieces[block].target[:2].tolist()
+        return push.at[0] - x, push.at[1] - y
+
+    def loose(self, block: int, world: WorkcellBlocks) -> bool:
+        """Whether a brick in its place is pressed home on nothing that stands under it. One joint
+        that has opened beside others is left: to take the brick off would open more."""
+        own = [(a, block) for a in self.states.lower[block] if (a, block) in self._joints]
+        there = [
+            (a, b)
+            for a, b in own
+            if (not world.beside[b].any() if a == GROUND else world.together(b)[a])
+            and (a == GROUND or world.state[a] == STANDING)
+        ]
+        return bool(there) and not any(pair in world.home for pair in there)
 
     def prove(self, standing: frozenset[int]) -> None:
         """A state that is known to stand, however."""

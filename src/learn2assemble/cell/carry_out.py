@@ -57,6 +57,7 @@ from learn2assemble.planning.plan import ArmFailure, ArmReport, Plan, Step
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene
+from learn2assemble.robot.studs import Studs
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.kit import Kit
@@ -118,6 +119,8 @@ class Building:
         most = 2 * len(self.known.order) + 20
         while len(self.known.done) < most:
             action = self.known.choose()
+            if action is None and self._let_go():
+                action = self.known.choose()
             if not isinstance(action, Action):
                 return action
             if not self.act(action):
@@ -201,13 +204,23 @@ class Building:
         self._append()
         return True
 
+    def _let_go(self) -> bool:
+        """Let everything that clutches go at once, which single moves do not; whether that was
+        done."""
+        if self.physical is None or not self.job.assembly.holds:
+            return False
+        self._settle()
+        self._read(0, None, np.random.default_rng([self.seed, 10**6 + 1]))
+        return True
+
     def _settle(self) -> None:
         """All blocks come to rest by themselves, as after a step that was done by hand."""
         standing = self.world.visible()
         if self.physical is None or not standing:
             return
         rows = rows_of(self.world, self.world.pose, standing[-1], self.recording.masses)
-        after, quaternion, _ = self.physical.settle(rows.scene)
+        studs = self.known.structure.joints_of(self.world, rows, False)
+        after, quaternion, _ = self.physical.settle(rows.scene._replace(studs=studs))
         self._put(rows, np.arange(len(rows.owner)), after.position, quaternion)
 
     def _look(self, action: Action, skip: int) -> tuple[Move | None, str]:
@@ -217,7 +230,8 @@ class Building:
         into: tuple[Direction, ...] = (DOWN,)
         if action.what in ("place", "again"):
             into = self.known.structure.ways_in(k, self.known.standing() - {k})
-        for move in moves(self.world, rows, k, goal, into):
+        press = self._press(action) if action.what in PLACING else None
+        for move in moves(self.world, rows, k, goal, into, press):
             found = self.kinematic.attempt(rows.scene, move)
             if found.reached:
                 first = first or move
@@ -227,9 +241,20 @@ class Building:
             why = why or named(describe(found), rows, self.world)
         return first, why or "the tool cannot hold it"
 
+    def _press(self, action: Action) -> tuple[float, float] | None:
+        """Where a block is pressed home, x and y [m]; None: it is not."""
+        k, taken = action.block, (action.block, *action.group)
+        beside = np.zeros(3) if action.group else self.world.beside[k]
+        apart = (self.world.beside == beside).all(1)
+        standing = {n for n in self.known.standing() if apart[n]} - set(taken)
+        at = self.known.structure.press_at(k, action.group, standing)
+        return None if at is None else (action.goal[0] + at[0], action.goal[1] + at[1])
+
     def _carry_out(self, action: Action, move: Move, rng: np.random.Generator) -> Attempt:
         k, number = action.block, len(self.known.done) + 1
         rows = rows_of(self.world, self.world.pose, k, self.recording.masses, action.group)
+        placing = action.what in PLACING
+        studs = self.known.structure.joints_of(self.world, rows, placing, action.group)
         if number in self.disturbance.drop:
             away = self.job.base - move.target[:2]
             beside = DROP[0] * away / np.linalg.norm(away)
@@ -246,9 +271,13 @@ class Building:
             if found.reached:
                 for n in action.group:
                     self.world.pose[n, :3] += where[:3] - self.world.pose[k, :3]
+                self._come_home(rows, studs)
             self.world.pose[k] = where
             return found
-        found = self.physical.attempt(rows.scene, move, joints=self.joints)
+        scene = rows.scene._replace(studs=studs)
+        found = self.physical.attempt(scene, move, joints=self.joints)
+        if found.home is not None:
+            self._come_home(rows, studs, found.home)
         step = next(
             (
                 n
@@ -268,6 +297,24 @@ class Building:
         if found.after is not None and found.quaternion is not None:
             self._take_over(rows, move, found.after, found.quaternion)
         return found
+
+    def _come_home(
+        self, rows: Rows, studs: Studs | None, home: tuple[tuple[int, int], ...] | None = None
+    ) -> None:
+        """Joints of studs that are home now.
+
+        Args:
+            rows: the scene.
+            studs: its joints.
+            home: those that are, as lower and upper row; by default all.
+        """
+        for joint in () if studs is None else studs.joints:
+            ends = joint.lower, joint.upper
+            below = joint.lower if joint.lower < 0 else int(rows.owner[joint.lower])
+            pair = below, int(rows.owner[joint.upper])
+            self.world.home.discard(pair)
+            if home is None or ends in home:
+                self.world.home.add(pair)
 
     def _take_over(self, rows: Rows, move: Move, after: Scene, quaternion: np.ndarray) -> None:
         """The poses a simulation has left."""

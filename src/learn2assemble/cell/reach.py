@@ -72,6 +72,8 @@ FOLDED = 0.35
 """Nearer to the base an arm has to fold so far that there is no steady way down [m]."""
 CLEAR, APART = 0.06, 0.01
 """Between magazines and the structure, and between two of them [m]."""
+HAND_CLEAR = 0.14
+"""The same where bricks are held by fingers this way and that, whose hand is wide [m]."""
 OVERHEAD = 0.5
 """Blocks may wait below obstacles that begin above this [m]."""
 GRID, MOST_TRIED = 0.04, 150
@@ -423,7 +425,8 @@ def _supplied(job: Job, given: list[Source], site: Site) -> Job:
     missing = [shape for shape, _ in needed.most_common() if shape not in known]
     finished = replace(job, sources=())
     cell = KinematicCell(job.arm, cells_of(job))
-    structure = shapely.union_all([p.face() for p in job.pieces]).buffer(CLEAR)
+    clear = HAND_CLEAR if job.assembly.holds else CLEAR
+    structure = shapely.union_all([p.face() for p in job.pieces]).buffer(clear)
     taken = [source.area.buffer(APART) for source in given]
     taken += [outline(o).buffer(2 * APART) for o in job.obstacles if o.bottom < OVERHEAD]
     taken.append(shapely.Point(*job.base).buffer(0.16))

@@ -399,7 +399,8 @@ class Choice:
         turned = self.world.pieces[k].turned_by(found[3:], target[3:])
         off = float(np.linalg.norm(found[:3] - target[:3]))
         missing = self._bed(k) - self.standing()
-        return off > STANDS or turned > LEANS or bool(missing)
+        apart = bool(missing) or self.structure.loose(k, self.world)
+        return off > STANDS or turned > LEANS or apart
 
     def _away(self, k: int) -> Action | str:
         """Back to a magazine, to where it came from, or to a free place on the table."""

@@ -9,6 +9,7 @@ backwards, that is an order of building.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -75,7 +76,8 @@ def arrange_bricks(
     part = _Subassembly(every, structure.states, {k: k for k in every})
     steps = search.take_apart(part)
     if steps is None:
-        stuck = {k: search.why.get(k, "what stands before it falls") for k in search.stuck}
+        told = sorted(search.stuck, key=lambda k: k not in search.why)
+        stuck = {k: search.why.get(k, "what stands before it falls") for k in told}
         return Arranged((), stuck or dict.fromkeys(every, "it falls"))
     done: set[int] = set()
     for step in steps:
@@ -193,6 +195,7 @@ class _Disassembly:
         if not table.need.stands:
             return
         holders = [g for g in self.rank if g in group and part.states.stands(group, g)]
+        holders.sort(key=lambda g: self._lever(g, bricks, rest))
         for place in self._places(bricks, rest):
             own = _Subassembly(bricks, table, {b: n for n, b in enumerate(bricks)}, place, rest)
             for g in holders:
@@ -204,6 +207,12 @@ class _Disassembly:
                     yield _TakenOff(rest, (*steps, step))
                     return
                 break
+
+    def _lever(self, g: int, bricks: tuple[int, ...], rest: frozenset[int]) -> float:
+        """How far a brick by which others are brought is from where they are pressed [m]."""
+        others = tuple(b for b in bricks if b != g)
+        at = self.structure.press_at(g, others, set(rest))
+        return 0.0 if at is None else round(math.hypot(*at), 3)
 
     def _places(self, bricks: tuple[int, ...], rest: frozenset[int]) -> Iterator[Offset]:
         """Where on the table some bricks may be built, the nearest places first."""
@@ -261,7 +270,12 @@ class _Disassembly:
             world.beside[step.block] = step.beside
         for k in standing | staged:
             world.pose[k], world.state[k] = world.target(k), STANDING
-        why = try_step(world, self.cell, step)
+        near = staged if step.beside is not None else standing
+        press = self.structure.press_at(step.block, step.group, set(near))
+        if press is not None:
+            place = world.pieces[step.block].pose if step.group else world.target(step.block)
+            press = place[0] + press[0], place[1] + press[1]
+        why = try_step(world, self.cell, step, press=press)
         if why is not None:
             self.why[step.block] = why
         return why is None

@@ -32,6 +32,7 @@ from learn2assemble.robot.grasps import WAY, facing
 from learn2assemble.robot.holding import attitude, ways_to_turn
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Attempt, Move, Scene
+from learn2assemble.robot.studs import Studs
 from learn2assemble.statics.proofs import BED, TIGHT
 
 if TYPE_CHECKING:
@@ -354,6 +355,7 @@ def moves(
     moving: int,
     goal: np.ndarray,
     into: Sequence[Direction] = (DOWN,),
+    press: tuple[float, float] | None = None,
 ) -> Iterator[Move]:
     """Ways to bring a block to a pose: where it is held, and how the hand turns; cups at the side
     of a tool last, and drawn out only as far as it takes to come out from below others.
@@ -362,6 +364,7 @@ def moves(
         rows: the scene, in which the block waits; what it brings along is not turned.
         goal: float64[7]: the pose it shall have.
         into: unit vectors along which it may come there.
+        press: where it is pressed home, x and y [m]: the hand that is nearest to it tips it least.
     """
     alone = (rows.scene.object_id == moving).sum() == len(world.pieces[moving].shape)
     piece, arm = world.pieces[moving], world.job.arm
@@ -372,7 +375,11 @@ def moves(
     goals = [wanted @ turn for turn in piece.turns()]
     if not alone:
         goals = [goal for goal in goals if np.trace(now.T @ goal) > 1 + 2 * math.cos(FLAT)]
-    for way in ways_to_turn(arm, piece.shape, now, goals):
+    ways = ways_to_turn(arm, piece.shape, now, goals)
+    if press is not None:
+        at = {id(way): goal[:2] + (way.goal @ np.array(way.hold.point))[:2] for way in ways}
+        ways.sort(key=lambda way: round(math.dist(at[id(way)], press), 3))
+    for way in ways:
         centre = np.array(piece.shape[way.hold.part].centre)
         grasp = attitude(way.hold, centre, now, way.grasp)
         place = facing(way.place)._replace(depth=grasp.depth, lip=grasp.lip, aside=grasp.aside)
@@ -541,6 +548,23 @@ class Structure:
         present[list(standing)] = True
         return present
 
+    def joints_of(
+        self, world: WorkcellBlocks, rows: Rows, placing: bool, group: tuple[int, ...] = ()
+    ) -> Studs | None:
+        """The joints of studs of a scene, in its rows; None: there are no studs."""
+        return None
+
+    def loose(self, block: int, world: WorkcellBlocks) -> bool:
+        """Whether a block in its place is not pressed home."""
+        return False
+
+    def press_at(
+        self, block: int, group: tuple[int, ...], standing: set[int]
+    ) -> tuple[float, float] | None:
+        """Where a block that comes to its place, perhaps with others, is pressed home, x and y from
+        its own middle [m]; None: it is not pressed."""
+        return None
+
     def loads(self, block: int, standing: set[int]) -> list[int]:
         """Pieces among ``standing`` that rest on a piece, directly or not, the topmost first."""
         found, queue = [], [block]
@@ -648,11 +672,13 @@ def try_step(
     cell: KinematicCell,
     step: StepOf,
     into: Sequence[Direction] = (DOWN,),
+    press: tuple[float, float] | None = None,
 ) -> str | None:
     """Why the arm cannot do a step in a world where everything is as planned; None if it can.
 
     Args:
         into: unit vectors along which the block may come to its place.
+        press: see :func:`moves`.
     """
     k = step.block
     before = world.pose[k].copy()
@@ -663,7 +689,7 @@ def try_step(
             if at is not None:
                 world.pose[k] = at
             rows = rows_of(world, world.pose, k, group=step.group)
-            for move in moves(world, rows, k, goal, (DOWN,) if step.remove else into):
+            for move in moves(world, rows, k, goal, (DOWN,) if step.remove else into, press):
                 found = cell.attempt(rows.scene, move)
                 if found.reached:
                     return None

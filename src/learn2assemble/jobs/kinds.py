@@ -79,9 +79,6 @@ class ArmChoice(NamedTuple):
         tool = self.tool or (FINGERS if studs else DEFAULT_TOOL)
         if studs and tool != FINGERS:
             raise InputError("tool", tool, f"{FINGERS}: a cup does not hold on studs")
-        if studs and self.physics != "kinematic":
-            expected = "kinematic, for studs: no other cell has them yet"
-            raise InputError("physics", self.physics, expected)
         return Workcell(self.arm, tool, site, self.physics, self.seed, self.noise, log=self.state)
 
 

@@ -24,6 +24,7 @@ from learn2assemble.geometry.rotations import (
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.holding import ROOM, why_not_held
+from learn2assemble.robot.studs import Studs
 
 if TYPE_CHECKING:
     from learn2assemble.robot.arm import Arm
@@ -88,6 +89,8 @@ class Scene(NamedTuple):
     """float64[n, 4]: orientations (w, x, y, z); None: all stand upright at their yaw."""
     hull: tuple[Hull | None, ...] | None = None
     """Of each cell about its centre, where it is no box; None: all are boxes."""
+    studs: Studs | None = None
+    """Joints of studs between its cells, in a simulation; None: they only lie on one another."""
 
     @property
     def halves(self) -> np.ndarray:
@@ -407,6 +410,9 @@ class Attempt(NamedTuple):
     """float64[n]: where the arm is then [rad]."""
     trajectory: Trajectory | None = None
     """What the arm did, where something was moved in a simulation."""
+    home: tuple[tuple[int, int], ...] | None = None
+    """Joints of studs that are pressed home then, lower and upper cell of the scene before, where
+    it has some and that was simulated."""
 
     @property
     def reached(self) -> bool:

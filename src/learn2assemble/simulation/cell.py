@@ -19,6 +19,8 @@ from learn2assemble.motion.program import Blocks, Program, ProgramStep
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.grasps import Attitude, facing
 from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene
+from learn2assemble.robot.studs import Studs
+from learn2assemble.simulation.clutch import Clutch
 from learn2assemble.simulation.execution import (
     BLIND,
     LOAD_TIME,
@@ -108,7 +110,7 @@ class DynamicCell:
         self.recover, self.precheck, self.skip_free_motion = recover, precheck, skip_free_motion
         self.shift_rule = shift_rule or ShiftRule()
         self.forces, self.trace = forces, trace
-        self._worlds: OrderedDict[tuple[object, int, frozenset[Hull]], SimulatedWorld] = (
+        self._worlds: OrderedDict[tuple[object, int, frozenset[Hull], int], SimulatedWorld] = (
             OrderedDict()
         )
 
@@ -139,7 +141,7 @@ class DynamicCell:
             if joints.shape != self.arm.home.shape or not self.arm.inside_limits(joints):
                 within = f"{len(self.arm.joints)} angles within the limits"
                 raise InputError("joints", joints.tolist(), within)
-        world = self.world(order.objects)
+        world = self.world(order.objects, scene.studs)
         try:
             if self.precheck:
                 require_held(self.arm, scene, move)
@@ -159,16 +161,19 @@ class DynamicCell:
         )
         if scene.half is not None:
             sim.contacts.along = move.place.insertion()
+        sim.clutch = clutch_of(sim, order.objects, scene.studs, order.target)
         run = Execution(sim, order, course, self.limits, self.loaded, self.skip_free_motion)
         failure = None
         try:
             run.go()
             speed = sim.speed(order.target)
             check_rest(order, sim.poses, speed, run.landed, self.shift_rule)
+            run.check_home()
         except Failure as found:
             failure = abandon(run, found, self.recover)
         found = _report(order, sim.poses, sim.joints.copy(), failure)
-        return found._replace(held=run.holding, trajectory=sim.trajectory(order.objects))
+        home = None if sim.clutch is None else sim.clutch.home
+        return found._replace(held=run.holding, trajectory=sim.trajectory(order.objects), home=home)
 
     def settle(
         self,
@@ -191,32 +196,39 @@ class DynamicCell:
             SimulationDivergedError: where the simulation left the numbers.
         """
         objects, poses, names = rigid_objects(scene, quaternion)
-        world = self.world(objects)
+        world = self.world(objects, scene.studs)
         joints = rest_pose(self.arm, WorldChecker(self.arm, world, poses, names))
         sim = Simulation(
             self.arm, world, poses, names, 0, joints, 0.0, self.trace._replace(sample_steps=10**9)
         )
+        sim.clutch = clutch_of(sim, objects, scene.studs, -1)
         sim.wait(round(SETTLE_TIME / TIMESTEP), "home", BLIND._replace(until=sim.asleep))
         position, turns, yaw = objects.cells(sim.poses)
         there = None if scene.quaternion is None else turns
         after = scene._replace(position=position, yaw=yaw, quaternion=there)
         return after, turns, sim.asleep()
 
-    def world(self, objects: Objects) -> SimulatedWorld:
-        """The compiled cell for these objects; remembered."""
-        count = len(objects.still)
+    def world(self, objects: Objects, studs: Studs | None = None) -> SimulatedWorld:
+        """The compiled cell for these objects, with room for joints of studs; remembered."""
+        count, joints = len(objects.still), 0 if studs is None else len(studs.joints)
         room = 64 * math.ceil(count / 64)
         hulls = objects.hulls()
         known = [
             key
             for key in self._worlds
-            if key[0] == objects.shape and key[1] >= count and hulls <= key[2]
+            if key[0] == objects.shape and key[1] >= count and hulls <= key[2] and key[3] >= joints
         ]
-        key = known[0] if known else (objects.shape, room, hulls)
+        key = known[0] if known else (objects.shape, room, hulls, 32 * math.ceil(joints / 32))
         world = self._worlds.get(key)
         if world is None:
             world = compile_world(
-                self.arm, objects.shape, self.forces.friction, room, hulls, self.forces.gravity
+                self.arm,
+                objects.shape,
+                self.forces.friction,
+                room,
+                hulls,
+                self.forces.gravity,
+                key[3],
             )
             self._worlds[key] = world
             if len(self._worlds) > _MAX_WORLDS:
@@ -224,6 +236,11 @@ class DynamicCell:
         if world.num_still:
             hold_still(world, objects)
         return world
+
+
+def clutch_of(sim: Simulation, objects: Objects, studs: Studs | None, target: int) -> Clutch | None:
+    """The joints of studs of a simulation that is about to begin."""
+    return None if studs is None else Clutch(sim.world, sim.data, objects, studs, target)
 
 
 def _report(

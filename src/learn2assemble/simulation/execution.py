@@ -23,14 +23,20 @@ from learn2assemble.robot.scene import rotation_matrix
 from learn2assemble.simulation.cup import Vacuum, hanging, peak_load
 from learn2assemble.simulation.model import TIMESTEP, Failure, Order
 from learn2assemble.simulation.prepare import (
-    PRESS,
     Course,
     WorldChecker,
     free_way,
     leaving,
     rest_pose,
 )
-from learn2assemble.simulation.simulation import PUSH, TOUCH, Rules, Simulation, Watch
+from learn2assemble.simulation.simulation import (
+    BLOCK,
+    PUSH,
+    TOUCH,
+    Rules,
+    Simulation,
+    Watch,
+)
 from learn2assemble.simulation.trajectory import (
     PathLimits,
     Segment,
@@ -58,6 +64,12 @@ RAMP_TIME = 0.04
 with it and doubles its load."""
 PERIOD = 0.01
 """Between the instants at which that load is computed [s]."""
+PRESS_NEAR, PRESS_SPEED = 0.001, 0.005
+"""From so near to the contact [m] it is pressed on studs so slowly [m/s]."""
+BORNE, BORNE_RATE = 0.9, 0.2
+"""Share of a press that the controller bears, and how quickly it follows the sensor, each step."""
+EASES, EASED = 12, 0.4
+"""After a press: how often the drives are told where they are, and on which share of the way."""
 SLOT_SPEED = 0.1
 """So slowly it goes into a slot between others, and out of it [m/s]: faster, it strays by more than
 the joints leave."""
@@ -111,6 +123,8 @@ class Execution:
         """Whether the object is in the hand."""
         self.landed = False
         """Whether it rested on something before the hand let go of it."""
+        self.pressed = 0.0
+        """The largest force with which it was pressed on studs [N]."""
 
     def go(self) -> None:
         """The whole of it.
@@ -128,6 +142,7 @@ class Execution:
             sim.wait(_steps(CALM_TIME), "cross", LOADED)
         place, leave = self.corrected()
         self.lower(place, "place", LOADED, NEAR)
+        self.ease(NEAR)
         self.release("release", NEAR)
         self.inside = leave
         self.rise("retreat", NEAR)
@@ -300,7 +315,7 @@ class Execution:
         tool = target - place.rotation() @ rotation.T @ (cell - position)
         centre = tool + target - place.tool_point(target)
         poses = tool_path(centre, place, plan.height, upwards=True)
-        found = approach_path(sim.arm, poses, PRESS, plan.place.joints[0])
+        found = approach_path(sim.arm, poses, self.order.below, plan.place.joints[0])
         if isinstance(found, str):
             raise Failure(Outcome.UNREACHABLE, "place", found)
         leave = leaving(sim.arm, centre, place, plan.height, found)
@@ -324,9 +339,11 @@ class Execution:
         zones = [(CAREFUL, CAREFUL_SPEED), (SOFT, SOFT_SPEED)]
         if self.order.scene.half is not None:
             zones = sorted([*zones, (min(self.slot() + SOFT, rise[0]), SLOT_SPEED)], reverse=True)
+        if sim.clutch is not None and sim.clutch.wanted:
+            zones.append((PRESS_NEAR, PRESS_SPEED))
         segments = approach_speed_limits(path, rise, tuple(zones), bounds)
         loose = float(np.interp(-LOOSE, -rise, path.knots))
-        until = near._replace(start=loose, until=lambda: sim.contacts.support() >= LANDED)
+        until = near._replace(start=loose, until=self.rests)
         watches = (before, until)
         if self.order.scene.half is not None and before is LOADED:
             # Between others it slides into a slot.
@@ -334,6 +351,49 @@ class Execution:
             watches = (before, BESIDE._replace(start=begin), until)
         self.landed = False
         self.landed = sim.follow(path, bounds, stage, watches, segments)
+
+    def rests(self) -> bool:
+        """Whether what is held rests on something; where it has studs to meet, once it has been
+        pressed with the force that brings it home."""
+        clutch, force = self.sim.clutch, self.sim.contacts.support()
+        if clutch is None or not clutch.wanted:
+            return force >= LANDED
+        self.pressed = max(self.pressed, force)
+        self.bear(force)
+        if force < clutch.press:
+            return False
+        clutch.join()
+        return True
+
+    def bear(self, force: float) -> None:
+        """The controller bears most of what the hand pushes with [N], so that the arm hardly gives
+        way: it would turn what it holds."""
+        drives = self.sim.drives
+        drives.push += BORNE_RATE * (BORNE * max(force, 0.0) - drives.push)
+
+    def ease(self, watch: Watch) -> None:
+        """After a press, stay where the arm is: step by step its drives are told the joints that
+        they have, until the hand pushes and turns what it holds no more."""
+        sim, clutch = self.sim, self.sim.clutch
+        if clutch is None or clutch.loose or not clutch.wanted:
+            return
+        for _ in range(EASES):
+            there = sim.data.qpos[sim.world.joint].copy()
+            sim.drives.push *= 1 - EASED
+            sim.stay(sim.joints + EASED * (there - sim.joints), BLOCK, "place", watch)
+        sim.drives.push = 0.0
+
+    def check_home(self) -> None:
+        """Refuse a brick that is not home at the end.
+
+        Raises:
+            Failure: TOPPLED.
+        """
+        clutch = self.sim.clutch
+        if clutch is not None and clutch.loose:
+            name = self.order.names[self.order.target]
+            words = f"pressed with {self.pressed:.1f} N of {clutch.press:g} N"
+            raise Failure(Outcome.TOPPLED, "rest", f"{name} is loose on its studs, {words}")
 
     def release(self, stage: str, watch: Watch) -> None:
         """Open no further than needed; with a cup, turn the vacuum off and wait."""
@@ -345,7 +405,11 @@ class Execution:
             widths = np.zeros(_steps(sim.cup.suction.release_time) + 1)
         else:
             widths = _ramp(sim.width, self.order.opening, sim.arm.gripper.speed)
+        if sim.clutch is not None:
+            sim.clutch.take()
         sim.squeeze(widths, stage, watch)
+        if sim.clutch is not None:
+            sim.clutch.draw()
 
     def rise(self, stage: str, watch: Watch) -> None:
         """Up from wherever the hand is on an approach path; it may travel then."""

@@ -58,6 +58,8 @@ TIMESTEP = 0.002
 """[s]; with 4 ms the grasp fails."""
 SHRINK = 2.5e-4
 """How much thinner a box is on its upright sides [m], ..."""
+STUD_SHRINK = 1e-4
+"""... how much on the others where studs join it to others [m], ..."""
 UPRIGHT = 0.05
 """... whose normals are level but for this sine."""
 GRAIN, FINE_GRAIN = 1e-3, 1e-5
@@ -76,6 +78,9 @@ _FIRM_REF = (0.01, 2.0)
 sideways, 0.1 mm a second (measured); cubes keep theirs, for the tables."""
 _CUP_REF, _CUP_IMP = (0.01, 1.0), (0.95, 0.99, 0.001, 0.5, 2.0)
 """The bellows give way a little: 0.05 mm under the weight of what hangs from them."""
+
+_STUD_REF, _STUD_IMP = (0.004, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0)
+"""Of joints of studs: 20 N shift them by less than a hundredth of a millimetre."""
 
 Box = (
     tuple[tuple[float, ...], ...]
@@ -189,11 +194,18 @@ def _sized(scene: Scene, cells: np.ndarray, centre: np.ndarray, half: np.ndarray
 
 
 def _thinner(scene: Scene, quaternion: np.ndarray) -> np.ndarray:
-    """float64[n, 3]: half extents of the cells, boxes thinner along axes that are level [m]."""
+    """float64[n, 3]: half extents of the cells, boxes thinner along axes that are level [m], and
+    along all where studs join them: what a joint bears is not borne by faces, too."""
     axes = quaternion_matrix(quaternion)[:, 2]
-    return scene.halves - SHRINK * (np.abs(axes) < UPRIGHT)
+    lower = 0.0 if scene.studs is None else STUD_SHRINK
+    return scene.halves - np.where(np.abs(axes) < UPRIGHT, SHRINK, lower)
 
 
+PRESS = 0.004
+"""Approach paths begin so far below the contact [m], ..."""
+SOFTEST, DEEPEST = 2000.0, 0.02
+"""... and farther by what the arm gives way under a press, if it is so stiff [N/m], but no more
+than this [m]."""
 NEAR = 0.005
 """What is so near to a block where it is taken or where it is put is free to move [m]."""
 MOST_FREE = 40
@@ -221,6 +233,7 @@ def free_cells(scene: Scene, quaternion: np.ndarray, move: Move) -> np.ndarray:
         near = ((low <= upper + NEAR) & (high >= lower - NEAR)).all(1)
         found[number[near]] = True
     leaning = scene.hull is not None
+    joined = [] if scene.studs is None else [j for j in scene.studs.joints if j.home]
     while True:
         free = found[number]
         if leaning:
@@ -231,6 +244,10 @@ def free_cells(scene: Scene, quaternion: np.ndarray, move: Move) -> np.ndarray:
             on = (low[:, None, :2] < high[free, :2]) & (high[:, None, :2] > low[free, :2])
             rests = np.abs(low[:, None, 2] - high[free, 2]) < NEAR
             more = (on.all(2) & rests).any(1) & ~free
+        for joint in joined:
+            # What is pressed is borne by all that clutches.
+            if joint.lower >= 0 and free[joint.lower] != free[joint.upper]:
+                more[[joint.lower, joint.upper]] = True
         if not more.any():
             break
         found[number[more]] = True
@@ -278,6 +295,8 @@ class SimulatedWorld(NamedTuple):
     """How many cells can be held still."""
     solids: dict[int, Part]
     """By geom of an object, the part it is, in the frame of the object."""
+    num_welds: int = 0
+    """How many joints of studs there can be."""
 
 
 def compile_world(
@@ -287,6 +306,7 @@ def compile_world(
     num_still: int = 0,
     hulls: frozenset[Hull] = frozenset(),
     gravity: float = GRAVITY,
+    num_welds: int = 0,
 ) -> SimulatedWorld:
     """The cell with these objects, somewhere.
 
@@ -297,6 +317,7 @@ def compile_world(
         num_still: room for so many cells that are held still, see :func:`hold_still`.
         hulls: what these may be where they are no boxes.
         gravity: [m/s^2].
+        num_welds: room for so many joints of studs, see :class:`~.clutch.Clutch`.
     """
     spec = arm_spec(arm)
     set_options(spec, TIMESTEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST, gravity)
@@ -329,17 +350,35 @@ def compile_world(
             solimp=_CUP_IMP,
         )
         weld.data[:] = 0.0
+    if num_welds:
+        _add_welds(spec, num_welds, "object0")
     plan = spec.compile()
     plan.opt.enableflags = 0
     for part in arm_parts:
         part.margin = 0.0
-    world = _world(arm, spec, spec.compile(), plan, shape, num_still)
+    world = _world(arm, spec, spec.compile(), plan, shape, num_still)._replace(num_welds=num_welds)
     arm_bits, thing_bits = (_ARM_BIT, _ARM_BIT | _THING_BIT), (_THING_BIT, _ARM_BIT | _HELD_BIT)
     for geom, kind in enumerate(world.kind):
         bits = thing_bits if kind >= TABLE else arm_bits
         if plan.geom_contype[geom] or plan.geom_conaffinity[geom]:
             plan.geom_contype[geom], plan.geom_conaffinity[geom] = bits
     return world
+
+
+def _add_welds(spec: mujoco.MjSpec, count: int, body: str) -> None:
+    """Room for so many joints in a model; which bodies they join is said later."""
+    for number in range(count):
+        weld = spec.add_equality(
+            name=f"clutch{number}",
+            type=mujoco.mjtEq.mjEQ_WELD,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            name1="world",
+            name2=body,
+            active=False,
+            solref=_STUD_REF,
+            solimp=_STUD_IMP,
+        )
+        weld.data[:] = 0.0
 
 
 def hold_still(world: SimulatedWorld, objects: Objects) -> None:
@@ -445,6 +484,13 @@ class Order(NamedTuple):
     """Distance of the pads that hold it [m]."""
     opening: float
     """Distance of the pads before and after [m]."""
+
+    @property
+    def below(self) -> float:
+        """How far below the place the approach path begins [m]: what is held is lowered until it
+        rests, or is pressed home."""
+        studs = self.scene.studs
+        return PRESS if studs is None else min(PRESS + studs.press / SOFTEST, DEEPEST)
 
     def in_hand(self, grasp: Attitude) -> tuple[np.ndarray, np.ndarray]:
         """Pose of the object in the tool frame once it is grasped so: float64[3] [m] and [3, 3]."""

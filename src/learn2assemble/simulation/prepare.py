@@ -31,6 +31,7 @@ from learn2assemble.simulation.model import (
     LOOK,
     PAD,
     PLAN_MARGIN,
+    PRESS,
     TABLE,
     Failure,
     Order,
@@ -309,8 +310,6 @@ def _shortened(
 
 # ---------------------------------------------------------------- the course of an attempt
 
-PRESS = 0.004
-"""Approach paths begin so far below the place [m]: what is held is lowered until it rests."""
 MAX_RAISES = 4
 """How often the crossing is tried again, a level higher."""
 _MAX_LIFTS, _UP = 8, np.array([0.0, 0.0, LEVEL])
@@ -416,7 +415,7 @@ def _plan(arm: Arm, checker: WorldChecker, order: Order) -> Approaches:
             continue
         checker.carry(order.target, *order.in_hand(move.grasp), order.held)
         over = tool_path(move.target, move.place, height, upwards=True)
-        place = _choose(checker, approach_paths(arm, over, PRESS), None)
+        place = _choose(checker, approach_paths(arm, over, order.below), None)
         if isinstance(place, str):
             reasons.append(Failure(Outcome.UNREACHABLE, "place", place))
             continue
@@ -484,7 +483,7 @@ def _raised(arm: Arm, order: Order, plan: Approaches, levels: int) -> Approaches
     centre = order.scene.position[move.cell]
     pick = approach_path(arm, tool_path(centre, move.grasp, height), PRESS, plan.pick.joints[0])
     over = tool_path(move.target, move.place, height, upwards=True)
-    place = approach_path(arm, over, PRESS, plan.place.joints[0])
+    place = approach_path(arm, over, order.below, plan.place.joints[0])
     if isinstance(pick, str) or isinstance(place, str):
         return None
     leave = leaving(arm, move.target, move.place, height, place)

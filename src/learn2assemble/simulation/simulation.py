@@ -17,6 +17,7 @@ from learn2assemble.geometry.rotations import rotate_vectors
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.joint_path import JointPath
 from learn2assemble.robot.moves import STAGES, Outcome, Trajectory
+from learn2assemble.simulation.clutch import Clutch
 from learn2assemble.simulation.cup import Vacuum
 from learn2assemble.simulation.model import (
     ARM,
@@ -185,6 +186,8 @@ class Drives:
 
     payload = 0.0
     """Mass at the tool point the controller was told of [kg]."""
+    push = 0.0
+    """With which it pushes down there, as its sensor of forces says [N]."""
 
     def __init__(self, arm: Arm, world: SimulatedWorld, data: mujoco.MjData) -> None:
         self.arm, self.world, self.data = arm, world, data
@@ -210,11 +213,11 @@ class Drives:
         w, d = self.world, self.data
         inertia = d.M[self._entry]
         load = d.qfrc_bias[w.joint] - d.qfrc_gravcomp[w.joint]
-        if self.payload:
+        if self.payload or self.push:
             mujoco.mj_jacSite(w.model, d, self._jacobian, None, w.tool)
             jacobian = self._jacobian[:, w.joint]
             inertia = inertia + self.payload * jacobian.T @ jacobian
-            load += self.payload * -w.model.opt.gravity[2] * jacobian[2]
+            load += (self.payload * -w.model.opt.gravity[2] - self.push) * jacobian[2]
         load = load + acceleration @ inertia + velocity * self._damping
         out = np.zeros((len(position), w.model.nu))
         out[:, w.drive] = position + load / w.stiffness
@@ -324,6 +327,8 @@ class Simulation:
         self._samples: list[tuple[Any, ...]] = []
         self.joints, self.velocity, self.width = joints.copy(), np.zeros_like(joints), width
         self.cup = None if arm.suction is None else Vacuum(arm.suction, world, self.data)
+        self.clutch: Clutch | None = None
+        """The joints of studs, where there are some."""
         self._grip: np.ndarray | None = None
         self._record()
 
@@ -427,6 +432,12 @@ class Simulation:
         run = PathSamples(np.zeros((len(widths), 3)), there, *still)
         return self.run(run, widths, stage, watch, payloads)
 
+    def stay(self, joints: np.ndarray, steps: int, stage: str, watch: Watch) -> bool:
+        """Be told other joints float64[n] that are near [rad], for a number of steps."""
+        still = np.zeros((2, steps, len(joints)))
+        run = PathSamples(np.zeros((steps, 3)), np.tile(joints, (steps, 1)), *still)
+        return self.run(run, np.full(steps, self.width), stage, watch)
+
     def load(self, payload: float, steps: int, stage: str, watch: Watch) -> bool:
         """Tell the controller of another payload [kg], little by little in a number of steps."""
         change = np.linspace(self.drives.payload, payload, steps + 1)[1:]
@@ -480,6 +491,8 @@ class Simulation:
                     self.width = float(widths[k])
                 if self.cup is not None:
                     self.cup.step(self.width)
+                if self.clutch is not None:
+                    self.clutch.step()
                 self._count(run.position[k], run.velocity[k])
                 ended = self._look(thresholds, watch.until)
                 if ended is not None:

@@ -1,0 +1,37 @@
+"""Joints of studs in a scene: which cells they join, what they hold, and which are pressed home."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+GROUND = -1
+Point = tuple[float, float]
+
+
+class StudJoint(NamedTuple):
+    """Two cells that clutch once the upper one is pressed home on the lower one.
+
+    Directions are those of the lattice, which are those of the world.
+    """
+
+    lower: int
+    """Cell of the scene, or GROUND."""
+    upper: int
+    at: tuple[float, float, float]
+    """Centre of the upper cell from that of the lower one; above the ground where it is in the
+    world [m]."""
+    pull: float
+    """Of all contact points together [N]."""
+    middle: Point
+    """Of these pulls, from the centre of the upper cell [m]."""
+    hull: tuple[Point, ...]
+    """Corners of the hull of the contact points, counter-clockwise, from there [m]."""
+    home: bool
+
+
+class Studs(NamedTuple):
+    """The joints of a scene."""
+
+    joints: tuple[StudJoint, ...]
+    press: float
+    """With which a brick is pressed home [N]."""

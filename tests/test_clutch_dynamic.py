@@ -1,0 +1,174 @@
+"""Joints of studs in the simulation, against loads worked out by hand and by another program."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import learn2assemble as l2a
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.bricks.lattice import GROUND
+from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
+from learn2assemble.assembly.kit import load_kit
+from learn2assemble.cell.bricks import BrickStates
+from learn2assemble.constants import GRAVITY
+from learn2assemble.errors import InputError
+from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.grasps import Attitude
+from learn2assemble.robot.moves import Move, Scene
+from learn2assemble.robot.studs import Studs
+from learn2assemble.simulation.cell import DynamicCell
+from learn2assemble.simulation.clutch import holds
+from learn2assemble.statics.holding import Push
+
+DUPLO = load_kit("duplo")
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples/bricks"
+
+
+def duplo(*given: tuple[tuple[int, int], tuple[int, int, int]]) -> Assembly:
+    """Large bricks of some extents at corners in studs and layers."""
+    made = [Brick(at, (a, b, 1), f"brick {k}") for k, ((a, b), at) in enumerate(given)]
+    return assembly_of(BrickModel(tuple(made)), DUPLO, "test")
+
+
+def scene_of(assembly: Assembly, states: BrickStates) -> Scene:
+    """An assembly as a simulation takes it, every joint home."""
+    boxes = np.array([[b.vertices.min(0), b.vertices.max(0)] for b in assembly.blocks])
+    count = len(boxes)
+    joints = tuple(states.stud_joint(*pair)._replace(home=True) for pair in states.knobs)
+    return Scene(
+        boxes.mean(1),
+        np.zeros(count),
+        np.arange(count),
+        count,
+        np.diff(boxes, axis=1)[:, 0] / 2,
+        np.array([block.density for block in assembly.blocks]),
+        np.tile([1.0, 0, 0, 0], (count, 1)),
+        studs=Studs(joints, assembly.joint.press),
+    )
+
+
+def fall(assembly: Assembly) -> float:
+    """How far the farthest brick of an assembly falls [m]."""
+    scene = scene_of(assembly, BrickStates(assembly))
+    after, _, _ = DynamicCell(get_arm("panda", "gripper", (-0.6, 0, 0, 0))).settle(scene)
+    return float((scene.position - after.position)[:, 2].max())
+
+
+def heavier(assembly: Assembly, brick: int, mass: float) -> Assembly:
+    """The same with another mass of a brick [kg]."""
+    blocks = list(assembly.blocks)
+    block = blocks[brick]
+    blocks[brick] = replace(block, density=mass / block.volume)
+    return replace(assembly, blocks=tuple(blocks))
+
+
+LEVER = duplo(((2, 2), (0, 0, 0)), ((2, 8), (0, 0, 1)))
+"""A beam of eight studs whose first two studs are pressed on."""
+
+
+def lever_mass() -> float:
+    """The mass of the beam at which it tips, by hand.
+
+    Its four knobs pull with 12 T, as much at either row of studs: at 8 mm and 24 mm from the end.
+    The beam, two studs wide, has a long wall beside every knob: a triangle, with the wall a quarter
+    of a stud from the knob, the tubes an eighth on the other side and as far along the beam. So it
+    tips about a line an eighth of a stud beyond the second row, 26 mm from the end.
+    """
+    pull, pitch = DUPLO.joint.capacity, DUPLO.pitch[0]
+    edge = 1.5 * pitch + pitch / 8
+    moment = sum(pull * 6 * (edge - row * pitch) for row in (0.5, 1.5))
+    return moment / (GRAVITY * (4 * pitch - edge))
+
+
+@pytest.mark.parametrize(("share", "falls"), [(0.93, False), (1.07, True)])
+def test_a_lever_stands_below_its_capacity_and_falls_above(share: float, falls: bool) -> None:
+    mass = share * lever_mass()
+    beam = heavier(LEVER, 1, mass)
+    need = BrickStates(beam).need
+    # The weight of the beam is in its middle, so the share that is needed is that of its mass.
+    assert need.share == pytest.approx(share, rel=1e-6)
+    assert (fall(beam) > 0.005) == falls
+
+
+def hanging_mass() -> float:
+    """The mass at which a brick that hangs on four knobs in its middle falls off, by hand: all its
+    twelve points pull."""
+    return 12 * DUPLO.joint.capacity / GRAVITY
+
+
+@pytest.mark.parametrize(("share", "falls"), [(0.93, False), (1.07, True)])
+def test_what_hangs_is_held_up_to_its_capacity(share: float, falls: bool) -> None:
+    # Two posts, a beam across them, and a brick under its middle.
+    bridge = duplo(
+        ((2, 2), (0, 0, 0)),
+        ((2, 2), (0, 6, 0)),
+        ((2, 2), (0, 0, 1)),
+        ((2, 2), (0, 6, 1)),
+        ((2, 8), (0, 0, 2)),
+        ((2, 2), (0, 3, 1)),
+    )
+    made = heavier(bridge, 5, share * hanging_mass())
+    assert BrickStates(made).need.share == pytest.approx(share, rel=1e-6)
+    assert (fall(made) > 0.005) == falls
+
+
+def test_loads_that_a_joint_bears_are_those_of_the_program() -> None:
+    rng = np.random.default_rng(0)
+    kinds = set()
+    for _ in range(300):
+        long = int(rng.choice([2, 3, 4, 6]))
+        size = (2, long) if rng.random() < 0.5 else (long, 2)
+        under = (2, int(rng.choice([2, 4])))
+        at = int(rng.integers(1 - under[0], size[0])), int(rng.integers(1 - under[1], size[1]))
+        two = duplo((under, (*at, 0)), (size, (0, 0, 1)))
+        states = BrickStates(
+            replace(two, blocks=(replace(two.blocks[0], support=True), *two.blocks[1:]))
+        )
+        low, high = two.blocks[1].vertices.min(0), two.blocks[1].vertices.max(0)
+        where = rng.uniform(low[:2], high[:2])
+        push = float(rng.uniform(-1.2, 1.2) * 16)
+        stands = states.stands(frozenset({0, 1}), GROUND, Push(1, push, (where[0], where[1])))
+        joint = states.stud_joint(0, 1)
+        arm = where - (low + high)[:2] / 2
+        force = np.array([0, 0, push + GRAVITY * two.blocks[1].mass])
+        couple = np.array([arm[1] * push, -arm[0] * push, 0.0])
+        assert holds(joint, force, couple) == stands, (size, under, at, push)
+        kinds.add(stands)
+    assert kinds == {True, False}
+
+
+@pytest.mark.parametrize("arm", ["panda", "ur5e"])
+def test_an_arm_presses_bricks_home(arm: str) -> None:
+    plan = l2a.build(EXAMPLES / "stair.txt", kit="duplo", arm=arm)
+    assert plan.complete
+    assert plan.arm is not None
+    assert plan.arm.attempts <= 1.1 * 5
+    assert (plan.arm.error_worst or 0.0) <= 5e-4
+    assert plan.record is not None
+
+
+@pytest.mark.parametrize(("aside", "home"), [(0.0005, True), (0.003, False)])
+def test_what_misses_its_knobs_is_loose(aside: float, home: bool) -> None:
+    two = duplo(((2, 2), (0, 0, 0)), ((2, 2), (0, 0, 1)))
+    scene = scene_of(two, BrickStates(two))
+    assert scene.studs is not None
+    joints = tuple(one._replace(home=one.lower == GROUND) for one in scene.studs.joints)
+    target = scene.position[1] + np.array((aside, 0.0, 0.0))
+    waiting = scene.position + np.array([[0.0, 0.0, 0.0], [0.0, -0.2, -0.0192]])
+    scene = scene._replace(position=waiting, num_placed=1, studs=Studs(joints, 20.0))
+    hand = Attitude(depth=0.004)
+    cell = DynamicCell(get_arm("panda", "gripper", (-0.5, 0, 0, 0)))
+    found = cell.attempt(scene, Move(1, target, hand, hand))
+    assert found.home is not None
+    assert ((0, 1) in found.home) == home
+    assert found.reached == home
+    assert ("loose on its studs" in found.detail) != home
+
+
+def test_joints_of_two_laws_are_refused() -> None:
+    with pytest.raises(InputError, match="one clutch"):
+        BrickStates(replace(LEVER, joint=replace(LEVER.joint, law="dry")))
