@@ -219,6 +219,20 @@ def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> No
             "positions": [{"at": place} for place in places],
         }
         (folder / f"{name}.json").write_text(json.dumps(layout))
+    eye = {"name": "above", "position": [0, 0, 1], "look_at": [0, 0, 0]}
+    cell = {"format": "learn2assemble-layout", "version": 2, "base": {"position": [0, -0.5, 0]}}
+    cells = {
+        "cell": [eye],
+        "cell_twice": [eye, eye],
+        "cell_blind": [eye | {"resolution": [0, 0]}],
+        "cell_noise": [eye | {"noise": {"floor": -1.0}}],
+    }
+    for name, eyes in cells.items():
+        (folder / f"{name}.json").write_text(json.dumps(cell | {"cameras": eyes}))
+    readings = {"format": "learn2assemble-readings", "version": 1}
+    (folder / "no_readings.json").write_text(json.dumps(readings))
+    touches = [{"joints": [0.0] * 6}, {"tip": [0, 0, 0]}]
+    (folder / "readings.json").write_text(json.dumps(readings | {"touches": touches}))
     (folder / "special").mkdir()
     (folder / "special" / "link").symlink_to(folder / "file.txt")
     (folder / "special" / "nowhere").symlink_to(folder / "nosuch.txt")
@@ -253,7 +267,49 @@ def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> No
     (folder / "list.json").write_text("[]")
 
 
+CALIBRATE = ["--readings", "{d}/readings.json"]
 BAD = [
+    BadCall(
+        "calibrate without readings",
+        ["calibrate", "{d}/cell.json", "--readings", "{d}/no_readings.json"],
+        "no readings",
+    ),
+    BadCall("calibrate without the arm", ["calibrate", "{d}/cell.json", *CALIBRATE], "arm"),
+    BadCall(
+        "calibrate with another arm",
+        ["calibrate", "{d}/cell.json", *CALIBRATE, "--arm", "panda"],
+        "7 angles of panda",
+    ),
+    BadCall(
+        "calibrate two cameras of one name",
+        ["calibrate", "{d}/cell_twice.json", *CALIBRATE],
+        "cameras[1].name",
+    ),
+    BadCall(
+        "calibrate a camera without pixels",
+        ["calibrate", "{d}/cell_blind.json", *CALIBRATE],
+        "cameras[0].resolution",
+    ),
+    BadCall(
+        "calibrate a camera of negative noise",
+        ["calibrate", "{d}/cell_noise.json", *CALIBRATE],
+        "cameras[0].noise.floor",
+    ),
+    BadCall(
+        "calibrate a layout without a base",
+        ["calibrate", "{d}/layout.json", *CALIBRATE],
+        "base",
+    ),
+    BadCall(
+        "calibrate with a layout for readings",
+        ["calibrate", "{d}/cell.json", "--readings", "{d}/cell.json"],
+        "learn2assemble-readings",
+    ),
+    BadCall(
+        "calibrate into a folder",
+        ["calibrate", "{d}/cell.json", *CALIBRATE, "--arm", "ur5e", "--out", "{d}/full"],
+        "layout",
+    ),
     # The command itself.
     BadCall("no command", [], "COMMAND"),
     BadCall("misspelt command", ["buidl"], "did you mean 'build'"),

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block, hull_block
     from learn2assemble.assembly.files import read_assembly, write_assembly
     from learn2assemble.assembly.kit import Kind, Kit, load_kit
+    from learn2assemble.cell.calibrate import calibrate
     from learn2assemble.cell.site import Site
     from learn2assemble.design.cells import CellDesign
     from learn2assemble.design.goals import Goals
@@ -62,6 +63,7 @@ _HOME = {
     "statics.rigid_blocks": "Check check",
     "jobs.build": "build reach",
     "planning.plan": "Plan Step load_plan",
+    "cell.calibrate": "calibrate",
     "cell.site": "Site",
     "robot.arm": "get_arm",
     "robot.registry": "register_arm register_tool",
@@ -106,6 +108,7 @@ __all__ = [
     "TrainingRun",
     "box_block",
     "build",
+    "calibrate",
     "check",
     "evaluate",
     "export_assembly",

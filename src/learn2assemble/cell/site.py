@@ -31,13 +31,20 @@ from learn2assemble.motion.safety import SECTION as SAFETY
 from learn2assemble.motion.safety import Safety, parse_safety
 from learn2assemble.motion.settings import LAYOUT, SECTION, ProgramSettings, parse_settings
 from learn2assemble.robot.bodies import Part, Shape
-from learn2assemble.sensing.camera import DepthCamera, check_names, parse_camera
+from learn2assemble.sensing.camera import (
+    DepthCamera,
+    check_names,
+    checked_covariance,
+    parse_camera,
+)
 from learn2assemble.values import check_keys, integer, mapping, number, read_head, sequence, text
 
 if TYPE_CHECKING:
     from learn2assemble.design.goals import Goals
 
 MAX_PLACES, MAX_ENTRIES = 400, 64
+MOST_LEAN = 0.2
+"""A base leans by no more than this sine."""
 MESHES = ("stl", "obj", "ply", "glb", "3dm")
 MOST_BOXES, SPARE = 48, 0.15
 """A mesh is covered by so many boxes at most, and by no more than it takes to leave this share of
@@ -142,6 +149,9 @@ class Site:
     """Where they are taken to be."""
     safety: Safety = field(default_factory=Safety)
     """What the arm may not do."""
+    lean: tuple[float, float] = (0.0, 0.0)
+    """Along x and y of the table, the axis of the base that should be upright, as a calibration
+    found it. Builds are planned for an upright base."""
 
     @property
     def kept_out(self) -> tuple[Obstacle, ...]:
@@ -170,11 +180,18 @@ def read_site(path: Path) -> Site:
 
 def _site(value: Any, source: str, folder: Path) -> Site:
     root = read_head(value, source, LAYOUT, 2, _KEYS, ("format", "version"))
-    base = None
+    base, lean = None, (0.0, 0.0)
     if "base" in root:
-        given = _table(root["base"], f"{source}: base", ("position", "yaw"), ("position",))
+        keys = ("position", "yaw", "lean", "covariance")
+        given = _table(root["base"], f"{source}: base", keys, ("position",))
         x, y, z = _numbers(given["position"], f"{source}: base.position", 3)
         base = x, y, z, number(given.get("yaw", 0.0), f"{source}: base.yaw")
+        a, b = _numbers(given.get("lean", (0.0, 0.0)), f"{source}: base.lean", 2)
+        if max(abs(a), abs(b)) > MOST_LEAN:
+            raise InputError(f"{source}: base.lean", [a, b], f"{MOST_LEAN:g} at most")
+        lean = a, b
+        if "covariance" in given:
+            checked_covariance(given["covariance"], f"{source}: base.covariance", 6)
     width, depth = _numbers(root.get("table", TABLE), f"{source}: table", 2, positive=True)
 
     def every(key: str, make: Callable[[Any, str], T], most: int = MAX_ENTRIES) -> tuple[T, ...]:
@@ -197,6 +214,7 @@ def _site(value: Any, source: str, folder: Path) -> Site:
         parse_settings(root.get(SECTION, {}), f"{source}: {SECTION}"),
         every("cameras", parse_camera),
         parse_safety(root.get(SAFETY, {}), f"{source}: {SAFETY}"),
+        lean,
     )
     check_names(site.cameras, f"{source}: cameras")
     blocks = len(site.positions) + sum(p.rows * p.columns for p in site.pallets)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -119,6 +120,61 @@ def _reach(options: argparse.Namespace, output: Output) -> int:
         }
     )
     return 0 if found.complete else 1
+
+
+@command(
+    COMMANDS,
+    "calibrate",
+    "put base and cameras of a layout where readings say they are",
+    "l2a calibrate cell.json --readings touched.json --arm ur5e",
+    arg("layout", metavar="LAYOUT", type=named, help="with a base; it is written anew"),
+    arg("--readings", type=named, required=True, metavar="FILE", help="see docs/sensing.md"),
+    arg("--arm", default=None, help=f"of readings that are joints: {' or '.join(ARMS)}"),
+    arg("--tool", default=None, help="whose tip touched: gripper (default), suction, ..."),
+    arg("--out", type=named, default=None, metavar="FILE", help="write this file instead"),
+)
+def _calibrate(options: argparse.Namespace, output: Output) -> int:
+    from learn2assemble.cell.calibrate import calibrate
+
+    made = calibrate(
+        options.layout,
+        options.readings,
+        arm=options.arm,
+        tool=options.tool,
+        out=options.out,
+    )
+    found = made.found
+    spreads = {"base": made.spread(0)} | {
+        camera.name: made.spread(n) for n, camera in enumerate(found.cameras, 1)
+    }
+    rows = [
+        (
+            name,
+            f"{1e3 * far:.2f}",
+            f"{math.degrees(turned):.2f}",
+            *(f"{one:.2f}" for one in spreads[name]),
+            f"{sum(found.told[name])} of 6",
+        )
+        for name, (far, turned) in made.moved.items()
+    ]
+    columns = ("what", "moved [mm]", "turned [deg]", "known to [mm]", "[deg]", "coordinates read")
+    output.table("calibrated", columns, rows)
+    number, far = found.worst
+    share = f"{found.residual:.2f} of what they may be"
+    output.say(f"readings are off by {share}, reading {number} most: {far:.1f}")
+    written = str(options.out or options.layout)
+    output.say(f"layout: {written}")
+    output.finish(
+        {
+            "moved": {name: list(one) for name, one in made.moved.items()},
+            "known_to_mm_deg": {name: list(one) for name, one in spreads.items()},
+            "told": {name: list(one) for name, one in found.told.items()},
+            "residual": found.residual,
+            "worst": list(found.worst),
+            "files": {"layout": written},
+        }
+    )
+    return 0
 
 
 @command(

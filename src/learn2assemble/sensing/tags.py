@@ -273,18 +273,27 @@ def drawn(
         cells = len(print_)
         turn = camera.turn.T @ quaternion_matrix(pose[3:])
         place = (pose[:3] - camera.position) @ camera.turn
+        wide = size * cells / FAMILIES[family]
+        ends = camera.project(pose[:3] + (SQUARE * wide) @ quaternion_matrix(pose[3:]).T)
+        if ends[:, 2].min() <= 0:
+            continue
+        (u, v), (far_u, far_v) = (
+            np.clip(end, 0, camera.resolution).astype(int)
+            for end in (ends[:, :2].min(0) - 1, ends[:, :2].max(0) + 2)
+        )
+        window = np.s_[v:far_v, u:far_u]
+        read = picture.depth[window]
         for i, dy in enumerate(offsets):
             for j, dx in enumerate(offsets):
-                rays = camera.rays + np.array([dx, dy, 0.0])
+                rays = camera.rays[window] + np.array([dx, dy, 0.0])
                 towards = rays @ turn[:, 2]
                 with np.errstate(divide="ignore", invalid="ignore"):
                     depth = (place @ turn[:, 2]) / towards
                 local = (rays * depth[..., None] - place) @ turn
                 at = local[..., :2] / size * FAMILIES[family] + cells / 2
                 inside = (towards < 0) & (at >= 0).all(-1) & (at < cells).all(-1)
-                free = (picture.depth <= 0) | (picture.depth > depth - 0.01)
-                show = inside & free
+                show = inside & ((read <= 0) | (read > depth - 0.01))
                 column, row = at[show].astype(int).T
-                grey[i, j][show] = 30 + 195 * (print_[cells - 1 - row, column] / 255.0)
+                grey[i, j][window][show] = 30 + 195 * (print_[cells - 1 - row, column] / 255.0)
     shown = gaussian_filter(grey.mean((0, 1)), blur)
     return picture._replace(grey=shown.round().clip(0, 255).astype(np.uint8))
