@@ -650,7 +650,7 @@ BAD = [
     BadCall("--set heads that do not divide", train("--set", "network.heads=3"), "a divisor"),
     BadCall("--set no heads", train("--set", "network.heads=0"), "heads"),
     BadCall("--set negative heads", train("--set", "network.heads=-1"), "heads"),
-    BadCall("--set a whole network", train("--set", "network=large"), "--set"),
+    BadCall("--set a whole network", train("--set", "network=large"), "settings"),
     BadCall("--set a nan weight", train("--set", "dense_weight=nan"), "dense_weight"),
     BadCall(
         "--set labels for a published network",
@@ -665,7 +665,7 @@ BAD = [
     BadCall("train into a long name", train("--out", "{d}/" + LONG), "File name too long"),
     BadCall("start from an unknown agent", train("--init", "nobody"), "agent"),
     BadCall("start from a damaged agent", train("--init", "{d}/bad_agent"), "a trained agent"),
-    BadCall("start from another architecture", train("--init", "{d}/agent"), "--init"),
+    BadCall("start from another architecture", train("--init", "{d}/agent"), "init"),
     BadCall(
         "start from an agent and resume",
         resume("{d}/run", "--init", "{d}/agent"),
@@ -675,7 +675,7 @@ BAD = [
     BadCall("resume a folder that is no run", resume("{d}/full"), "the folder of a training run"),
     BadCall("resume a run without its state", resume("{d}/no_state"), "state.safetensors"),
     BadCall("resume a damaged configuration", resume("{d}/bad_config"), "the folder of a"),
-    BadCall("resume a damaged state", resume("{d}/bad_state"), "--resume"),
+    BadCall("resume a damaged state", resume("{d}/bad_state"), "undamaged"),
     BadCall(
         "resume with another task",
         resume("{d}/run", task="two-sided-3x3-20-24"),

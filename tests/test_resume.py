@@ -233,7 +233,7 @@ def test_resume_of_another_task_or_configuration_is_refused(tmp_path: Path) -> N
         (TINY, other_config, "config"),
         (TINY.replace(name="another"), QUICK, "task"),
     ):
-        with pytest.raises(InputError, match=f"--resume {words}"):
+        with pytest.raises(InputError, match=f"resume: {words}"):
             Trainer(task, config, 0).load(tmp_path / "state.safetensors")
 
 
@@ -250,7 +250,7 @@ def test_a_run_of_other_settings_is_refused(tmp_path: Path) -> None:
     assert again.samples == trainer.samples > 0
     del counters["config"]["network"]["pitch"]
     save_file(tensors, file, metadata={"counters": json.dumps(counters)})
-    with pytest.raises(InputError, match="--resume config"):
+    with pytest.raises(InputError, match="resume: config"):
         again.load(file)
 
 
@@ -367,7 +367,7 @@ def test_a_log_of_something_else_is_refused(tmp_path: Path, line: bytes) -> None
 
 def test_a_resumed_run_has_its_own_seed(tmp_path: Path) -> None:
     run_training(TINY, QUICK, tmp_path / "a", seed=4, device="cpu", quiet=True)
-    with pytest.raises(InputError, match="--seed"):
+    with pytest.raises(InputError, match="resume: seed"):
         run_training(TINY, QUICK, tmp_path / "a", seed=5, device="cpu", quiet=True, resume=True)
     for seed in (None, 4):
         run_training(TINY, QUICK, tmp_path / "a", seed=seed, device="cpu", quiet=True, resume=True)

@@ -133,7 +133,7 @@ def _on_ray(
         try:
             ray.init(**options, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, RuntimeError, ValueError):
-            raise InputError("--ray", address, "the address of a Ray cluster") from None
+            raise InputError("ray", address, "the address of a Ray cluster") from None
     try:
         # Not retried by Ray itself after an exception of the function: those are answers.
         remote = ray.remote(num_cpus=1, max_retries=MAX_DEATHS)(_on_node)
@@ -165,4 +165,4 @@ def _check_answer(address: str, host: str, port: str) -> None:
     try:
         socket.create_connection((host, int(port)), CONNECT_SECONDS).close()
     except (OSError, ValueError, OverflowError):
-        raise InputError("--ray", address, expected) from None
+        raise InputError("ray", address, expected) from None

@@ -146,11 +146,11 @@ def override(config: TrainConfig, assignments: list[str]) -> TrainConfig:
     for text in assignments:
         key, sign, value = text.partition("=")
         if not sign:
-            raise InputError("--set", text, "KEY=VALUE")
+            raise InputError("settings", text, "KEY=VALUE")
         part = "network." if key.startswith("network.") else ""
         key, owner = key.removeprefix(part), config.network if part else config
         hints = typing.get_type_hints(type(owner))
-        check_name("--set", key, hints.keys() - {"network"})
+        check_name("settings", key, hints.keys() - {"network"})
         changes[part][key] = _parse(key, value, getattr(owner, key))
     # All at once: what is valid together need not be valid one after the other.
     network = dataclasses.replace(config.network, **changes["network."])
@@ -163,7 +163,7 @@ def _parse(key: str, text: str, current: Any) -> Any:
             return {"true": True, "false": False}[text.lower()]
         return type(current)(text)
     except (ValueError, KeyError):
-        raise InputError(f"--set {key}", text, f"a value like {current!r}") from None
+        raise InputError(f"settings: {key}", text, f"a value like {current!r}") from None
 
 
 @dataclass(frozen=True)

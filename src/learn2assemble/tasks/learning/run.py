@@ -66,10 +66,10 @@ def choose_device(name: str) -> str:
         InputError: for an unknown device or CUDA without a GPU.
     """
     if name not in ("auto", "cpu", "cuda"):
-        raise InputError("--device", name, "auto, cpu or cuda")
+        raise InputError("device", name, "auto, cpu or cuda")
     available = torch.cuda.is_available()
     if name == "cuda" and not available:
-        raise InputError("--device", name, "cpu (no CUDA device is usable here)")
+        raise InputError("device", name, "cpu (no CUDA device is usable here)")
     return "cuda" if name != "cpu" and available else "cpu"
 
 
@@ -243,10 +243,10 @@ def train(
     words = config if isinstance(config, str) else "custom"
     if resume:
         if init is not None:
-            raise InputError("--init", init, "not together with --resume")
+            raise InputError("init", init, "not together with `resume=`")
         if settings or any(value is not None for value in (samples, arm, method, seed)):
-            got = "--set, --samples, --method, --arm or --seed"
-            raise InputError("--resume", got, "the run's own configuration")
+            got = "settings, samples, method, arm or seed"
+            raise InputError("resume", got, "the run's own configuration")
         task, config, seed, saved_minutes = _saved(out, task)
         minutes = saved_minutes if minutes is None else minutes
     else:
@@ -305,7 +305,7 @@ def train_seeds(
     folders = [out.with_name(f"{out.name}-s{seed}") for seed in range(seeds)]
     taken = [folder for folder in folders if folder.exists() and any(folder.iterdir())]
     if taken and not resume:
-        raise InputError("--out", str(taken[0]), "a new or empty folder, or --resume")
+        raise InputError("out", str(taken[0]), "a new or empty folder, or `resume=`")
     _fitted(options.get("config", "relational"), task)
     options["quiet"] = True
     jobs = [(task, folder, {**options, "seed": seed}) for seed, folder in enumerate(folders)]
@@ -326,8 +326,8 @@ def _train_seed(job: tuple[Task, Path, dict[str, Any]]) -> TrainingRun:
 
 def _saved(out: Path, task: Task) -> tuple[Task, TrainConfig, int, float | None]:
     """Task, configuration, seed and minutes of the run to resume."""
-    check_exists(out, "folder of a training run, to --resume")
-    refused = InputError("--resume", str(out), "the folder of a training run")
+    check_exists(out, "folder of a training run, to go on with (`resume=`)")
+    refused = InputError("resume", str(out), "the folder of a training run")
     if not (out / "config.json").is_file():
         raise refused
     try:
@@ -339,7 +339,7 @@ def _saved(out: Path, task: Task) -> tuple[Task, TrainConfig, int, float | None]
     except (KeyError, TypeError, AttributeError, InputError):
         raise refused from None
     if name != task.name:
-        raise InputError("TASK", task.name, f"{name}, the task of the run to resume")
+        raise InputError("task", task.name, f"{name}, the task of the run to resume")
     return get_task(task, arm if task.has_arm else None), config, seed, minutes
 
 
@@ -349,7 +349,7 @@ def _read_config(out: Path) -> Mapping[str, Any]:
     try:
         return mapping(read_json(file, "configuration")[0], str(file))
     except InputError:
-        raise InputError("--resume", str(file), "the configuration of a run") from None
+        raise InputError("resume", str(file), "the configuration of a run") from None
 
 
 def run_training(
@@ -383,12 +383,12 @@ def run_training(
         trainer.start_from(init.network)
         started_from = {"name": init.name, "origin": init.origin}
     if resume and not (out / "state.safetensors").is_file():
-        raise InputError("--resume", str(out), "a folder with a state.safetensors")
-    with claim_folder(out, resume, "a new or empty folder, or --resume"):
+        raise InputError("resume", str(out), "a folder with a state.safetensors")
+    with claim_folder(out, resume, "a new or empty folder, or `resume=`"):
         if resume:
             trainer.load(out / "state.safetensors")
             if seed not in (None, trainer.seed):
-                raise InputError("--resume --seed", seed, f"the run's own: {trainer.seed}")
+                raise InputError("resume: seed", seed, f"the run's own: {trainer.seed}")
             started_from = _read_config(out).get("init")
         else:
             run = {

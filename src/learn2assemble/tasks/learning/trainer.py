@@ -240,7 +240,7 @@ class Trainer:
         """
         config = self.config.network
         if fitted(network, config.pitch, config.sight).config != config:
-            raise InputError("--init", network.config, f"an agent with {self.config.network}")
+            raise InputError("init", network.config, f"an agent with {self.config.network}")
         for mine in (self.online, self.target):
             mine.load_state_dict(network.state_dict())
 
@@ -404,7 +404,7 @@ class Trainer:
             if isinstance(error, InputError):
                 raise
             reason = " ".join(str(error).split())[:120]
-            raise InputError("--resume", str(path), f"an undamaged state ({reason})") from None
+            raise InputError("resume", str(path), f"an undamaged state ({reason})") from None
 
     def _check_tensors(self, tensors: dict[str, torch.Tensor]) -> None:
         """ValueError for a tensor of another shape or kind, or with numbers that are not finite."""
@@ -438,7 +438,7 @@ class Trainer:
     def _restore(self, counters: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
         for key, value in {"task": self.task.name, "config": self.config.to_dict()}.items():
             if counters[key] != value:
-                raise InputError(f"--resume {key}", value, f"the run's own: {counters[key]}")
+                raise InputError(f"resume: {key}", value, f"the run's own: {counters[key]}")
         for name in (*_COUNTERS, "cursor"):
             if type(counters[name]) is not int or counters[name] < 0:
                 raise ValueError(f"{name} is {counters[name]!r}")
