@@ -123,7 +123,7 @@ def test_errors_arrive_with_their_message(workers: int) -> None:
 
 @pytest.mark.parametrize("address", ["nowhere", "localhost:x", "localhost:99999999", ":", ""])
 def test_addresses_that_make_no_sense(address: str) -> None:
-    with pytest.raises(InputError, match="^ray"):
+    with pytest.raises(InputError, match=r"^ray"):
         list(run_all(abs, [1], ray=address))
 
 
