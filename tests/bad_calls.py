@@ -115,6 +115,68 @@ BLOCKS = {
 """Files of blocks that are refused, and what is said of each."""
 
 
+_PART = "1 4 {} {} {} 1 0 0 0 1 0 0 0 1 {}\n"
+"""A part of LDraw: where it is, and which."""
+_SUBMODELS = "".join(
+    f"0 FILE m{k}.ldr\n" + 10 * _PART.format(0, 0, 0, f"m{k + 1}.ldr") for k in range(12)
+)
+BRICKS = {
+    "loop.mpd": (
+        "0 FILE a.ldr\n" + _PART.format(0, 0, 0, "b.ldr") + "0 NOFILE\n"
+        "0 FILE b.ldr\n" + _PART.format(0, 0, 0, "a.ldr"),
+        "no submodel that holds itself",
+    ),
+    "deep.mpd": (
+        _SUBMODELS + "0 FILE m12.ldr\n" + _PART.format(0, 0, 0, "3001.dat"),
+        "got 1000000000000, expected 1 to 10000 bricks",
+    ),
+    "long.ldr": (200_001 * _PART.format(0, 0, 0, "3001.dat"), "expected at most 200000"),
+    "off.ldr": (
+        _PART.format(0, 0, 0, "3001.dat") + _PART.format(7, -24, 3, "3001.dat"),
+        "line 2: place: got '7 -24 3'",
+    ),
+    "turned.ldr": ("1 4 0 0 0 0.8 0 0.6 0 1 0 -0.6 0 0.8 3001.dat\n", "turned by quarters"),
+    "overlap.ldr": (
+        _PART.format(0, 0, 0, "3001.dat") + _PART.format(20, 0, 0, "3001.dat"),
+        "bricks that do not overlap",
+    ),
+    "unknown.ldr": (_PART.format(0, 0, 0, "3001x9.dat"), "nearest 300"),
+    "overlap.txt": ("2x4 (0,0,0)\n2x2 (1,1,0)\n", "bricks that do not overlap"),
+    "letters.txt": ("2x4 (0,0,0)\n2xA (0,0,1)\n", "line 2: got '2xA (0,0,1)'"),
+    "half.txt": ("2x4 (0.5,0,0)\n", "a brick such as 2x4 (0,0,0)"),
+    "below.txt": ("2x4 (0,0,-3)\n", "at or above the ground"),
+    "far.txt": ("2x4 (999999,0,0)\n", "coordinates up to 100000"),
+    "nan.json": ('{"bricks": [{"size": [2, 2], "at": [0, 0, NaN]}]}', "nan.json"),
+}
+"""Files of bricks that are refused, and what is said of each."""
+_KIT = """format = "learn2assemble-kit"
+version = 1
+name = "k"
+pitch = [0.016, 0.016, 0.0192]
+density = 1000.0
+[joint]
+law = "clutch"
+%s
+[[kinds]]
+name = "2x2"
+box = [2, 2, 1]
+"""
+STUDS = {
+    "negative": ("capacity = -0.7", "joint.capacity: got -0.7"),
+    "nan": ("capacity = nan", "joint.capacity: got nan"),
+    "absurd": ("capacity = 1e9", "expected 0 to 1000 N"),
+    "words": ('capacity = "much"', "joint.capacity: got 'much'"),
+    "press": ("press = -1.0", "joint.press: got -1.0"),
+    "glue": ('base = "glue"', "one of grips, table"),
+    "mortar": ("tensile = 3.0", "key: got 'tensile'"),
+    "hook": (
+        '[[kinds]]\nname = "hook"\ncells = [[0, 0, 0], [0, 0, 1], [1, 0, 1]]',
+        "studs on nothing",
+    ),
+}
+"""Kits whose joints are refused: a line of each, and what is said of it."""
+
+
 def given(name: str, *words: str) -> list[str]:
     """A build of blocks that are given."""
     return ["build", f"{{d}}/blocks/{name}.json", "--out", "{d}/new", *words]
@@ -184,6 +246,19 @@ def prepare_blocks(folder: Path) -> None:
     (folder / "many.json").write_text(f'{{{head}, "blocks": [{many}]}}')
 
 
+def prepare_bricks(folder: Path) -> None:
+    """Files of bricks, kits with studs and tasks of products that are refused, in a new folder."""
+    folder.mkdir()
+    for name, (content, _) in BRICKS.items():
+        (folder / name).write_text(content)
+    for name, (line, _) in STUDS.items():
+        (folder / f"{name}.toml").write_text(_KIT % line)
+    (folder / "good.txt").write_text("2x2 (0,0,0)\n2x2 (0,0,1)\n")
+    (folder / "words.jsonl").write_text("no task\n")
+    (folder / "empty.jsonl").write_text("")
+    (folder / "short.jsonl").write_text('{"tier": 1, "task": 1, "blocks": []}\n')
+
+
 def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> None:
     """Fill ``folder`` with what the calls name.
 
@@ -199,6 +274,7 @@ def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> No
     shutil.copy(log, folder / "log.jsonl")
     (folder / "file.txt").write_text("mine")
     prepare_files(folder / "read")
+    prepare_bricks(folder / "bricks")
     prepare_blocks(folder / "blocks")
     head = {
         "format": "learn2assemble-robot-program",
@@ -869,6 +945,56 @@ BAD = [
         "reach into a full folder",
         ["reach", "{d}/design.json", "--arm", "panda", "--out", "{d}/full"],
         "a new or empty folder",
+    ),
+    # Bricks that clutch.
+    *(
+        BadCall(f"bricks: {name}", ["check", f"{{d}}/bricks/{name}"], fragment)
+        for name, (_, fragment) in BRICKS.items()
+    ),
+    *(
+        BadCall(
+            f"studs: {name}",
+            ["check", "{d}/bricks/good.txt", "--kit", f"{{d}}/bricks/{name}.toml"],
+            fragment,
+        )
+        for name, (_, fragment) in STUDS.items()
+    ),
+    *(
+        BadCall(
+            f"capacity {value}",
+            ["check", "{d}/bricks/good.txt", "--kit", "duplo", "--capacity", value],
+            "expected a force from 0 to 1000 N",
+        )
+        for value in ("-1", "nan", "1e99", "much")
+    ),
+    BadCall(
+        "a cup for studs",
+        [
+            "build",
+            "{d}/bricks/good.txt",
+            "--out",
+            "{d}/new",
+            "--kit",
+            "duplo",
+            "--arm",
+            "panda",
+            "--tool",
+            "suction",
+        ],
+        "a cup does not hold on studs",
+    ),
+    *(
+        BadCall(
+            f"tasks: {name}",
+            ["workbenchmark", "--tasks", f"{{d}}/bricks/{name}.jsonl", "--out", "{d}/new"],
+            fragment,
+        )
+        for name, fragment in {
+            "words": "a task as JSON",
+            "empty": "got '0 lines'",
+            "short": "the key 'initial_blocks'",
+            "none": "no such file",
+        }.items()
     ),
     # Names that are misspelt.
     *(
