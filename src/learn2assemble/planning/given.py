@@ -59,7 +59,8 @@ def plan_assembly(
         gap: width to which vertical joints may open, or a range of widths [m]. Above 0 side faces
             carry nothing, nor do edges and points, and every bed face is taken to be smaller by
             half of it on all sides. Without it, side faces press where the file has them touch.
-        supports: ``"none"``; ``"posts"`` and ``"auto"`` place posts where nothing else helps.
+        supports: ``"none"``; ``"posts"`` places posts where nothing else helps, and so does
+            ``"auto"``, of at most ten blocks the fewest.
         holds: how many blocks may be held by a hand while the next one comes; a hand is preferred
             to a post.
         hands: of bricks that clutch, whether they may come from below, and several as one; a hand
@@ -94,20 +95,21 @@ def plan_assembly(
     _check_props(assembly, joints)
     problem = OrderProblem(assembly, _layers(assembly, joints, widest), tuple(sorted(set(ends))))
     clock = Clock(seconds)
+    help_ = Supports(supports != "none", holds, fewest=supports == "auto")
     if assembly.steps:
         found = follow_steps(problem, clock, progress)
     else:
-        found = find_sequence(problem, Supports(supports != "none", holds), clock, progress)
+        found = find_sequence(problem, help_, clock, progress)
         unsure = not widest and joints.decide(ends[0]).verdict == UNCERTAIN
         if found.status == "refused" and unsure:
             names = list_ids(found.blocks, found.stuck) or "some blocks"
             reason = f"that the finished structure stands is not certain: {names} may move"
             found = replace(found, status="not found", reason=reason)
         elif found.status == "refused" and not widest:
-            help_ = what_would_carry(assembly, found.stuck, ends[0], clock)
-            found = replace(found, reason="; ".join(filter(None, (found.reason, help_))))
+            more = what_would_carry(assembly, found.stuck, ends[0], clock)
+            found = replace(found, reason="; ".join(filter(None, (found.reason, more))))
         elif found.status == "not found":
-            found = _advised(found, problem, joints, Supports(supports != "none", holds), clock)
+            found = _advised(found, problem, joints, help_, clock)
     return plan_of(assembly, found, ends, None if gap is None else (0.0, widest), started)
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +19,7 @@ from learn2assemble.assembly.contacts import Contacts, contact_tolerance, find_c
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.clearance import FreeWays
 from learn2assemble.planning.disassembly import TakingApart
+from learn2assemble.planning.fewest_posts import fewest_posts
 from learn2assemble.planning.forward import BuildingSite, Forward
 from learn2assemble.planning.posts import find_posts
 from learn2assemble.planning.sequence import (
@@ -37,9 +37,7 @@ from learn2assemble.statics.laws import ByForces, ByLoads, ByStrength, Law
 from learn2assemble.statics.rigid_blocks import SIDE
 
 _SMALL = 10
-"""Blocks up to which the fewest posts are looked for among all sets of them ..."""
-_SETS = 4000
-"""... as long as these are no more, over the cube of the number of blocks."""
+"""Blocks up to which the fewest posts are looked for."""
 _NO_SUPPORTS = Supports()
 Progress = Callable[[str], None]
 
@@ -86,7 +84,7 @@ def find_sequence(
             rules.allow(range(order.count, len(order.blocks)) if posts else (), supports.holds)
             other = order.run()
             found = other if other.complete or len(other.steps) > len(found.steps) else found
-            found = order.fewest(found) if posts and found.complete else found
+            found = order.fewest(found) if posts and supports.fewest else found
     made = order.sequenced(found)
     if stands:
         return made
@@ -172,24 +170,22 @@ class _DryOrder:
         return _Steps(steps, () if found.complete else self._stuck(found), found.complete)
 
     def fewest(self, found: _Steps) -> _Steps:
-        """An order with fewer posts than one that was found, where the blocks are few."""
-        used = {step.block for step in found.steps if step.block >= self.count}
-        count = int(self.rules.wanted.sum())
-        if count > _SMALL or len(used) < 2:
+        """An order with the fewest posts, where the blocks are few and nothing else helps."""
+        rules, count = self.rules, self.count
+        used = {step.block for step in found.steps if step.block >= count}
+        few = int(rules.wanted.sum()) <= _SMALL and not rules.site.prop[:count].any()
+        if not few or rules.holds or (found.complete and len(used) < 2):
             return found
         self.progress("looking for fewer posts")
+        steps = fewest_posts(rules, self.clock)
+        some = {step.block for step in steps or () if step.block >= count}
+        if steps is None or (found.complete and len(some) == len(used)):
+            return found
+        # With these alone, posts come where they are needed and go as soon as they are not.
+        rules.allow(some, 0)
         self.progress = lambda text: None
-        sets = 0
-        for size in range(1, len(used)):
-            for some in combinations(range(self.count, len(self.blocks)), size):
-                sets += 1
-                if sets * count**3 > _SETS or self.clock.left <= 0:
-                    return found
-                self.rules.allow(some, self.rules.holds)
-                answer = self.run()
-                if answer.complete:
-                    return answer
-        return found
+        again = self.run()
+        return again if again.complete else _Steps(steps, (), True)
 
     def sequenced(self, found: _Steps) -> Sequenced:
         """The steps with what is proven of every state, and the posts they use."""

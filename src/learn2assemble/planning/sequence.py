@@ -40,11 +40,13 @@ class Supports:
         posts: whether posts may be placed.
         holds: how many blocks may be held meanwhile.
         hands: of bricks that clutch, whether they may come from below, and several as one.
+        fewest: whether a few blocks get the fewest posts, which may be wide ones.
     """
 
     posts: bool = False
     holds: int = 0
     hands: bool = False
+    fewest: bool = False
 
 
 class Transition(NamedTuple):
