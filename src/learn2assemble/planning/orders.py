@@ -71,17 +71,19 @@ def find_sequence(
     problem: OrderProblem, supports: Supports, clock: Clock, progress: Progress = lambda text: None
 ) -> Sequenced:
     """Order, supports and proof for dry blocks that are given where they stand."""
-    order = _DryOrder(problem, supports, clock, progress)
+    # Where posts could stand takes longer to find than an order that needs none.
+    order = _DryOrder(problem, replace(supports, posts=False), clock, progress)
     rules = order.rules
     end, last = rules.end, rules.laws[-1]
     stands = rules.law(end) is not None
     found = order.run()
-    # What is known of states without help stays known with it.
     for posts in (False, True) if stands else ():
         if found.complete or clock.left <= 0:
             break
         if supports.posts if posts else supports.holds:
-            rules.allow(range(order.count, len(order.blocks)) if posts else (), supports.holds)
+            if posts:
+                order = _DryOrder(problem, supports, clock, progress)
+            order.rules.allow(range(order.count, len(order.blocks)) if posts else (), supports.holds)
             other = order.run()
             found = other if other.complete or len(other.steps) > len(found.steps) else found
             found = order.fewest(found) if posts and supports.fewest else found
