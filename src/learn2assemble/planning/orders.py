@@ -83,7 +83,9 @@ def find_sequence(
         if supports.posts if posts else supports.holds:
             if posts:
                 order = _DryOrder(problem, supports, clock, progress)
-            order.rules.allow(range(order.count, len(order.blocks)) if posts else (), supports.holds)
+            order.rules.allow(
+                range(order.count, len(order.blocks)) if posts else (), supports.holds
+            )
             other = order.run()
             found = other if other.complete or len(other.steps) > len(found.steps) else found
             found = order.fewest(found) if posts and supports.fewest else found
