@@ -158,11 +158,14 @@ class Forward:
 
     def moves(self, last: Transition) -> Iterator[Transition]:
         """What may come next, the least help first."""
-        state, ready, waiting = last.state, [], []
+        state, ready, waiting, closing = last.state, [], [], []
         for b in self.ready(last):
             if not self.site.ways.free(b, state.present):
                 continue
             after = state.change(place=[b])
+            if self._closes(after, b):
+                closing.append(b)
+                continue
             if walled := self.walled(after):
                 waiting.append((b, walled))
                 continue
@@ -175,6 +178,18 @@ class Forward:
             yield from self._posted(last, ready)
         for b, walled in waiting:
             yield from self._freeing(last, b, walled)
+        # What stands there stays: these may be dead ends, as far as straight ways tell.
+        for b in closing:
+            if self.stands(after := state.change(place=[b]), [b]):
+                yield Transition((Doing("place", b),), after, last.gone)
+
+    def _closes(self, state: State, block: int) -> bool:
+        """Whether a block that was placed shuts out one beside it, though all props have gone."""
+        there = state.present & ~self.site.prop
+        if not self.wanted[block]:
+            return False
+        beside = [n for n in self.site.near[block] if self.wanted[n] and not there[n]]
+        return not all(self.site.ways.free(n, there) for n in beside)
 
     def _holding(self, last: Transition, ready: list[int]) -> Iterator[Transition]:
         """A block that is held as it comes, while others may be let go."""
@@ -245,7 +260,9 @@ class Forward:
                 if self.stands(after, [b]):
                     steps.append(Doing("release", b))
                     state, again = after, True
-            taken, state = self._taken(state, some, last)
+            taken, state = self._taken(state, some, False)
+            if last and not taken:
+                taken, state = self._taken(state, some, True)
             steps, again = [*steps, *taken], again or bool(taken)
             gone |= self._own(taken)
         return Transition(tuple(steps), state, gone)
@@ -254,7 +271,8 @@ class Forward:
         """Take away those of some props (bool[B]) that nothing needs, from above.
 
         Args:
-            sure: look at everything that could carry the rest, not only at what is near.
+            sure: look at everything that could carry the rest, not only at what is near, until one
+                has gone.
         """
         steps = []
         there = np.flatnonzero(state.present & some).tolist()
@@ -268,6 +286,8 @@ class Forward:
             if self.stands(after, carried, most) and self.site.ways.free(p, state.present):
                 steps.append(Doing("remove", p))
                 state = after
+                if sure:
+                    break  # What is near this state is looked at first again.
             elif not sure:
                 self._kept.add(key)
         return steps, state

@@ -50,8 +50,9 @@ _WORSE = 3.0
 _WAIT = 12
 """Steps of the coupled law that need not halve that sum, and after which motions may not be far:
 what is soft comes back from there in the first steps."""
-_TRIED = (0, 1, 2, 3, 5, 7, 10, 14)
-"""Rounds of the nearest law after which the coupled law is tried."""
+_TRIED, _TRIED_OF_MANY = (0, 1, 2, 3, 5, 7, 10, 14), (0, 1, 3)
+"""Rounds of the nearest law after which the coupled law is tried, also where blocks are many: these
+touch with faces as a rule, and of such nothing more was found by later ones."""
 _DENSE = 30
 """Blocks up to which matrices are not sparse."""
 _COUPLED, _NEAREST = 0, 1
@@ -123,10 +124,11 @@ class Joined:
     ) -> tuple[bool, ElasticAnswer]:
         """As coupled, from motions of the nearest law: of ``found``, at first."""
         balances = True
-        for number in range(_TRIED[-1] + 1):
+        tried = _TRIED if self.count <= _DENSE else _TRIED_OF_MANY
+        for number in range(tried[-1] + 1):
             if not balances or np.abs(found.motion).max(initial=0.0) > _FAR:
                 break
-            if number in _TRIED:
+            if number in tried:
                 done, answer = self.coupled(load, friction, ratio, balanced, (found.motion,))
                 if done:
                     return True, answer

@@ -276,16 +276,16 @@ class States:
         load, limit = self.weight(blocks), np.full(len(corners), friction)
         # Joints like those of the last state come first: its motions are theirs.
         springs = sorted(STIFFNESS, key=lambda ratio: ratio != self._springs)
-        still, near = np.zeros_like(start), None
-        zero = np.zeros((len(corners), 3))
+        still, zero = np.zeros_like(start), np.zeros((len(corners), 3))
+        balances, near = True, None
+        if thorough:
+            # Most states that fall do so for certain: where no forces balance, no law will.
+            balances, near = joined.nearest(load, limit, zero, BALANCED_COUPLED)
+        if not balances:
+            return None
         for ratio in springs if thorough else springs[:1]:
-            found, answer = joined.coupled(load, limit, ratio, BALANCED_COUPLED, (start,))
-            if not found and thorough and near is None:
-                balances, near = joined.nearest(load, limit, zero, BALANCED_COUPLED)
-                if not balances:
-                    return None  # Where no forces at all balance the blocks, no law will.
-            if not found:
-                found, answer = joined.coupled(load, limit, ratio, BALANCED_COUPLED, (still,))
+            starts = start, still
+            found, answer = joined.coupled(load, limit, ratio, BALANCED_COUPLED, starts)
             if found:
                 return _JointMotion(answer.motion, ratio)
         for ratio in springs:
