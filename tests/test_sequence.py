@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block, hull_block
 from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.cuts import POST
 from learn2assemble.assembly.kit import load_kit
@@ -459,3 +459,16 @@ def test_a_prop_that_would_be_closed_in_goes_before() -> None:
     assert plan.complete, plan.reason
     assert plan.assembly is not None
     assert not any(b.kind == POST for b in plan.assembly.finished.blocks)
+
+
+def test_where_posts_do_not_help_and_a_hand_does_it_is_said() -> None:
+    """A ridge below the arch leaves posts no floor; advice is tried before it is given."""
+    ends = [(x, y, 0.0) for x in (-0.24, 0.24) for y in (-0.2, 0.2)]
+    ridge = hull_block("ridge", [*ends, (0, -0.2, 0.2), (0, 0.2, 0.2)])
+    arch = script("arch").arch(7)
+    arch = replace(arch, blocks=(*arch.blocks, ridge))
+    plan = plan_assembly(arch)
+    assert not plan.complete
+    assert "v1, v5" in (plan.reason or "")
+    assert "a hold would help: with one block held at a time it is built" in (plan.reason or "")
+    assert plan_assembly(arch, holds=1, supports="none").complete

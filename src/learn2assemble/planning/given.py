@@ -150,9 +150,12 @@ def _advised(
     if not found.steps or clock.left <= 0:
         pass
     elif not supports.posts and _completes(problem, Supports(True, supports.holds), clock):
-        return replace(found, reason=f"{found.reason}; with posts it is built")
+        return replace(found, reason=f"{found.reason}; posts would help: with posts it is built")
     elif supports.holds == 0 and _completes(problem, Supports(False, 1), clock):
-        return replace(found, reason=f"{found.reason}; with one block held at a time it is built")
+        return replace(
+            found,
+            reason=f"{found.reason}; a hold would help: with one block held at a time it is built",
+        )
     if joints.decide(problem.friction[0]).result.stands:
         return replace(found, reason=f"{found.reason}; all blocks together stand")
     return found
