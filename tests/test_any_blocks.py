@@ -20,9 +20,8 @@ from learn2assemble.assembly.blocks import Assembly, Block, box_block, hull_bloc
 from learn2assemble.assembly.instruction_words import facts
 from learn2assemble.assembly.instructions import instructions
 from learn2assemble.cell.carry_out import Workcell, carry_out
-from learn2assemble.cell.pieces import overlaps, pieces_of, solids, ways_to_rest, with_rests
+from learn2assemble.cell.pieces import pieces_of, ways_to_rest, with_rests
 from learn2assemble.cell.reach import check_held
-from learn2assemble.cell.workcell import Disturbance
 from learn2assemble.cli.commands import _print_plan
 from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError
@@ -30,11 +29,12 @@ from learn2assemble.export.robot_programs import export_program, replay_program
 from learn2assemble.geometry.hulls import Hull, hull_of, resting_turns, rotations_onto
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.files import read_record, write_record
+from learn2assemble.motion.plant import Disturbance
 from learn2assemble.motion.record import BuildRecord, find_fault
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.bodies import Part, Shape, body_of
+from learn2assemble.robot.bodies import Part, Shape, body_of, overlaps, solids
 from learn2assemble.robot.holding import PAD, attitudes, free_face, holds_of, ways_to_turn
 from learn2assemble.robot.kinematic import BlockChecker
 from learn2assemble.robot.kinematics import forward, get_chain

@@ -27,15 +27,11 @@ from learn2assemble.robot.moves import (
     Trajectory,
     put_down,
 )
-from learn2assemble.simulation.cell import DynamicCell
-from learn2assemble.simulation.execution import (
-    ONE_SIDED,
-    Execution,
-    ShiftRule,
-    check_rest,
-)
+from learn2assemble.simulation.cell import DynamicCell, ExactSenses
+from learn2assemble.simulation.execution import Execution, Rig
 from learn2assemble.simulation.model import TIMESTEP, take_order
 from learn2assemble.simulation.prepare import Failure, WorldChecker, prepare
+from learn2assemble.simulation.rest import ONE_SIDED, ShiftRule, check_rest
 from learn2assemble.simulation.simulation import Drives, Simulation, SimulationDivergedError, Trace
 from robot_scenes import GROUND, PITCH, cell, scene
 
@@ -92,7 +88,9 @@ def test_a_way_home_is_sought_anew_where_a_block_is_in_it(panda: DynamicCell) ->
     course = prepare(PANDA, world, order, None, True)
     above = course.home[0]
     sim = Simulation(PANDA, world, order.poses, order.names, order.target, above, OPENING, Trace())
-    run = Execution(sim, order, course, panda.limits, panda.loaded)
+    known = ExactSenses(sim, order, False)
+    rig = Rig(known, known, PANDA, world, panda.limits, panda.loaded)
+    run = Execution(rig, order, course, above)
     np.testing.assert_array_equal(run.checked(course.home, "home"), course.home)
     middle = forward(get_chain(PANDA), (course.home[0] + course.home[-1]) / 2)[0]
     sim.poses[2, :3] = middle

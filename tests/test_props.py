@@ -29,7 +29,7 @@ from learn2assemble.robot.registry import TOOLS
 from learn2assemble.robot.shape import arm_shape
 from learn2assemble.robot.tool import load_suction
 from learn2assemble.simulation.cell import DynamicCell
-from learn2assemble.simulation.cup import Payload, peak_load
+from learn2assemble.simulation.load import Payload, peak_load
 from robot_scenes import hands
 
 ARMS = [get_arm(name, "suction-side", (-0.5, 0.0, 0.0, 0.0)) for name in ("panda", "ur5e")]

@@ -32,7 +32,8 @@ from learn2assemble.robot.registry import TOOLS
 from learn2assemble.robot.shape import arm_shape
 from learn2assemble.robot.tool import load_suction
 from learn2assemble.simulation.cell import DynamicCell, WorldForces
-from learn2assemble.simulation.cup import Payload, Vacuum, peak_load
+from learn2assemble.simulation.cup import Vacuum
+from learn2assemble.simulation.load import Payload, peak_load
 from learn2assemble.simulation.model import free_cells, take_order
 from learn2assemble.simulation.prepare import Failure, WorldChecker, prepare
 from learn2assemble.simulation.simulation import Simulation, Trace
@@ -148,7 +149,7 @@ def held(mass: float, half: np.ndarray = BRICK, off: float = 0.0) -> Simulation:
 
 
 def tell(sim: Simulation, command: float, seconds: float) -> None:
-    from learn2assemble.simulation.execution import BLIND
+    from learn2assemble.simulation.simulation import BLIND
 
     with suppress(Failure):  # what holds it may let go
         sim.squeeze(np.full(round(seconds / 0.002), command), "cross", BLIND)
@@ -200,7 +201,7 @@ def test_a_block_is_pulled_off_at_its_limit(
     else:
         assert "pulled off by" in cup.lost
         # It is told so, whatever is looked for.
-        from learn2assemble.simulation.execution import BLIND
+        from learn2assemble.simulation.simulation import BLIND
 
         with pytest.raises(Failure) as told:
             sim.wait(10, "cross", BLIND)

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from learn2assemble.errors import InputError
 from learn2assemble.robot.arm import Limits
 from learn2assemble.robot.joint_path import JointPath, joint_path
+from learn2assemble.simulation.bench import braked
 from learn2assemble.simulation.trajectory import (
     PathLimits,
     Segment,
     limits_along,
     motion,
     reachable_speed,
-    stop,
 )
 
 STEP = 0.002
@@ -91,19 +91,19 @@ def test_paths_go_through_their_knots_smoothly(seed: int, count: int) -> None:
     assert (third >= 0).all()
 
 
-@given(seed=seeds, share=st.floats(0.05, 0.9))
+@given(seed=seeds, share=st.floats(0.05, 0.95))
 @settings(max_examples=40, deadline=None)
-def test_a_stop_stays_on_the_path_within_the_limits(seed: int, share: float) -> None:
+def test_an_arm_that_brakes_stays_within_the_limits(seed: int, share: float) -> None:
     path = joint_path(walks(seed, 5), LIMITS)
     bounds = limits_along(path, LIMITS)
     run = motion(path, bounds, STEP)
     k = int(share * (len(run.position) - 1))
-    rest = stop(path, bounds, STEP, tuple(run.progress[k]))
+    rest = braked(LIMITS, *(part[k] for part in run[1:]))
     joined = np.vstack([path.joints[:1], run.position[: k + 1], rest.position])
-    assert max(shares(joined, LIMITS)) <= 1 + 1e-4
-    if len(rest.position):
-        np.testing.assert_allclose(rest.velocity[-1], 0, atol=1e-9)
-        assert rest.progress[-1, 0] <= path.length + 1e-9
+    assert max(shares(joined, LIMITS)) <= 1 + 2e-3
+    np.testing.assert_array_equal(rest.velocity[-1], 0)
+    # As soon as that is: no joint needs longer from its velocity to rest.
+    assert len(rest.position) * STEP < 2.0
 
 
 @given(

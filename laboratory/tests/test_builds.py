@@ -41,7 +41,10 @@ def test_what_was_measured_is_not_measured_again(tmp_path: Path) -> None:
     assert not first & set(calls)
     assert set(found["entries"]) == {n for n in builds.names() if "pyramid.json/panda" in n}
     rows = builds.summary(found["entries"])
-    assert ("noise", ">= 95 %", "10 of 10") in rows
+    got = {what: (asked, words) for what, asked, words in rows}
+    assert got["noise"][0] == ">= 95 %, <= 2 mm"
+    assert got["noise"][1].startswith("10 of 10; off by 0.00 mm")
+    assert {"faults", "guarded", "coarse/touch", "coarse/blind", "worse"} <= got.keys()
 
 
 def test_other_files_are_not_overwritten(tmp_path: Path) -> None:

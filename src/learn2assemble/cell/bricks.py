@@ -191,6 +191,10 @@ class BrickStructure(Structure):
             if pair[0] != GROUND or states.joint.base == "grips"
         }
 
+    def studs(self) -> Studs:
+        """All joints of studs, whose cells are pieces."""
+        return Studs(tuple(self._joints.values()), self.states.joint.press)
+
     def joints_of(
         self, world: WorkcellBlocks, rows: Rows, placing: bool, group: tuple[int, ...] = ()
     ) -> Studs:

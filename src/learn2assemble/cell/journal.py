@@ -32,7 +32,7 @@ from learn2assemble.motion.record import (
 )
 from learn2assemble.robot.moves import Outcome
 
-FORMAT, VERSION = "learn2assemble-build", 3
+FORMAT, VERSION = "learn2assemble-build", 4
 SUM = "checksum"
 """Key of every state: the CRC-32 of the rest, so that damage is seen whatever it hits."""
 
@@ -126,13 +126,10 @@ class Recording:
     Args:
         world: where everything is.
         joints: float64[n] where the arm begins [rad].
-        masses: float64[N], factors of the densities.
         words: what the outcomes come from.
     """
 
-    def __init__(
-        self, world: WorkcellBlocks, joints: np.ndarray, masses: np.ndarray, words: str
-    ) -> None:
+    def __init__(self, world: WorkcellBlocks, joints: np.ndarray, words: str) -> None:
         self.world, self.job, self.words = world, world.job, words
         count = len(world.pieces)
         self.body = list(range(count))
@@ -141,7 +138,6 @@ class Recording:
         """Of every block beyond those of the plan, the piece it is like."""
         self.cells = world.cells()
         self.fixed = [sum(map(len, self.cells)) + n for n in range(len(self.job.obstacles))]
-        self.masses = masses
         self.hands: list[ByHand] = []
         self.begin(joints, 0.0)
 
@@ -178,13 +174,11 @@ class Recording:
         count = sum(map(len, self.cells)) + len(self.fixed)
         halves, densities, poses = np.empty((count, 3)), np.empty(count), np.zeros((count, 7))
         hulls: list[Hull | None] = [None] * count
-        for body, piece, pose, mass in zip(
-            self.body, self.world.pieces, self.world.pose, self.masses, strict=True
-        ):
+        for body, piece, pose in zip(self.body, self.world.pieces, self.world.pose, strict=True):
             turn = quaternion_matrix(pose[3:])
             for cell, part in zip(self.cells[body], piece.shape, strict=True):
                 halves[cell], hulls[cell] = part.half, part.hull
-                densities[cell] = piece.density * mass
+                densities[cell] = piece.density
                 poses[cell] = [*(pose[:3] + turn @ np.array(part.centre)), *pose[3:]]
         for cell, obstacle in zip(self.fixed, self.job.obstacles, strict=True):
             halves[cell], densities[cell] = np.array(obstacle.size) / 2, OBSTACLE_DENSITY
@@ -209,7 +203,6 @@ class Recording:
         self.cells.append(tuple(range(first, first + len(self.world.pieces[k].shape))))
         self.body.append(self.body[k])
         self.body[k] = len(self.cells) - 1
-        self.masses = np.append(self.masses, self.masses[k])
         return spare
 
     def state(self) -> dict[str, Any]:
@@ -218,7 +211,6 @@ class Recording:
             "body": self.body,
             "like": self.like,
             "cells": [list(c) for c in self.cells],
-            "masses": self.masses.tolist(),
             "hands": [list(hand) for hand in self.hands],
         }
 
@@ -228,7 +220,6 @@ class Recording:
             self.recorder.take(_unpacked(step))
         self.body, self.like = state["body"], state["like"]
         self.cells = [tuple(c) for c in state["cells"]]
-        self.masses = np.array(state["masses"])
         self.hands = [
             ByHand(after, tuple(cells), name, place) for after, cells, name, place in state["hands"]
         ]

@@ -22,7 +22,6 @@ from learn2assemble.geometry.hulls import (
     hull_of,
     resting_turns,
     rotations_onto,
-    separation,
 )
 from learn2assemble.geometry.rotations import (
     matrix_quaternion,
@@ -165,24 +164,6 @@ def waiting(shape: Shape, at: Pose, rest: np.ndarray) -> np.ndarray:
     turn = yaw_matrix(at.yaw) @ rest
     height = -float((body_of(shape).points @ turn[2]).min())
     return np.array([at.x, at.y, height, *matrix_quaternion(turn)])
-
-
-Solid = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Corners, normals of faces and directions of edges of a convex part, where it is."""
-
-
-def solids(shape: Shape, pose: np.ndarray) -> list[Solid]:
-    """The parts of a block at a pose float64[7], as :func:`~.hulls.separation` takes them."""
-    turn = quaternion_matrix(pose[3:])
-    return [
-        (pose[:3] + part.points @ turn.T, part.solid.normals @ turn.T, part.solid.edges @ turn.T)
-        for part in shape
-    ]
-
-
-def overlaps(one: list[Solid], two: list[Solid], depth: float) -> bool:
-    """Whether two blocks share more than ``depth`` along every axis that could part them [m]."""
-    return any(separation(a, b)[0] < -depth for a in one for b in two)
 
 
 def covered(shape: Shape, pose: np.ndarray) -> Any:

@@ -1,9 +1,5 @@
-"""What is known of a build, and what follows from it.
-
-The arm acts on beliefs. Readings are noisy: the estimate of a block begins where the arm has put
-it, as exactly as the arm places, and is averaged with the readings since then (a Kalman filter of a
-block at rest); a reading that is off by far means that the block was moved. From the estimates
-follows the next step that can be done, or what has to be put right first.
+"""What follows from what is known of a build: the next step that can be done, or what has to be
+put right first. Where blocks are is what :mod:`learn2assemble.cell.sight` believes of them.
 """
 
 from __future__ import annotations
@@ -16,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.cell.pieces import Piece, Solid, solids
+from learn2assemble.cell.pieces import Piece
 from learn2assemble.cell.workcell import (
     LEANING,
     LEANS,
@@ -35,17 +31,7 @@ from learn2assemble.cell.workcell import (
     supply_of,
 )
 from learn2assemble.geometry.hulls import separation
-from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, yaw_quaternion
-
-# ---------------------------------------------------------------- beliefs
-
-STEADY, STEADY_YAW = 3e-4, 3e-3
-"""How exactly the arm places a block: standard deviations of x and y [m] and of its yaw [rad]."""
-DRIFT, DRIFT_YAW = 5e-5, 1e-4
-"""By which the estimate of a block at rest may be wrong anew after every attempt [m], [rad]."""
-SPREAD = 5.0
-"""A reading that is off by more standard deviations means that the block has moved."""
-
+from learn2assemble.robot.bodies import Solid, solids
 
 WITHIN = 0.02
 """What is farther from the place of a block than this leaves it all the room it needs [m]."""
@@ -53,42 +39,12 @@ SAME_WAY = 1 - 1e-6
 """Cosine of the angle between two axes that are one."""
 
 
-def read_back(
-    belief: np.ndarray,
-    variance: np.ndarray,
-    true: np.ndarray,
-    noise: tuple[float, float],
-    rng: np.random.Generator,
-) -> None:
-    """Read the pose of a block back; height and lean are read exactly.
-
-    Args:
-        belief: float64[7], the estimate; changed.
-        variance: float64[2], of its place and of its yaw; changed.
-        true: float64[7].
-        noise: standard deviations of a reading: x and y [m], yaw [rad].
-        rng: draws the noise.
-    """
-    place, turn = noise
-    seen, spin = true[:2] + rng.normal(0.0, place, 2), rng.normal(0.0, turn)
-    variance += DRIFT**2, DRIFT_YAW**2
-    if np.abs(seen - belief[:2]).max() > SPREAD * math.hypot(math.sqrt(variance[0]), place):
-        belief[:2], variance[:] = seen, (place**2, turn**2)
-    gain = variance / (variance + np.array([place**2, turn**2]) + 1e-18)
-    belief[:2] += gain[0] * (seen - belief[:2])
-    variance *= 1 - gain
-    # The error of the yaw shrinks with the readings as that of the place does.
-    spun = yaw_quaternion(spin * math.sqrt(float(gain[1])))
-    belief[2] = true[2]
-    belief[3:] = matrix_quaternion(quaternion_matrix(spun) @ quaternion_matrix(true[3:]))
-
-
-def fitted(world: WorkcellBlocks, belief: np.ndarray, standing: set[int], k: int) -> np.ndarray:
+def fitted(world: WorkcellBlocks, standing: set[int], k: int) -> np.ndarray:
     """Where a block goes, shifted by the little that its neighbours are off: on those that carry
     it, and between those beside it.
 
     Args:
-        belief: float64[N, 7] of all blocks.
+        world: where blocks are believed to be.
         standing: pieces in the structure, without the block itself.
         k: the block.
 
@@ -103,7 +59,7 @@ def fitted(world: WorkcellBlocks, belief: np.ndarray, standing: set[int], k: int
         other = world.pieces[n]
         if (np.maximum(other.extent[0] - high, low - other.extent[1]) > WITHIN).any():
             continue
-        shift = belief[n, :3] - world.target(n)[:3]
+        shift = world.pose[n, :3] - world.target(n)[:3]
         for one, two in product(mine, solids(other.shape, other.pose)):
             gap, way = separation(one, two)
             if gap > WITHIN or not _faces(one, two, gap, way):
@@ -209,7 +165,6 @@ class Choice:
         for step in self.order:
             if step.beside is not None:
                 self.world.beside[step.block] = step.beside
-        self.believe()
         self.fails: Counter[tuple[int, str]] = Counter()
         """By block and what was tried: failures since the last success."""
         self.refused: dict[int, str] = {}
@@ -218,23 +173,10 @@ class Choice:
         """Blocks that stay as they are, though not right."""
         self.done: list[Done] = []
 
-    def believe(self) -> None:
-        """Everything is where it really is: float64[N, 7], and variances float64[N, 2]."""
-        self.belief = self.world.pose.copy()
-        self.variance = np.full((len(self.belief), 2), STEADY**2)
-
-    def replace(self, k: int, spare: int) -> None:
-        """Another block takes the place of a piece, which has this number from now on."""
-        self.belief = np.vstack([self.belief, self.world.pose[spare]])
-        self.belief[k] = self.world.pose[k]
-        self.variance = np.vstack([self.variance, self.variance[k]])
-
     def state(self) -> dict[str, Any]:
         """What a file says of it, with what came of the last attempt."""
         return {
             "done": dataclasses.asdict(self.done[-1]),
-            "belief": self.belief.tolist(),
-            "variance": self.variance.tolist(),
             "accepted": sorted(self.accepted),
             "beside": self.world.beside.tolist(),
             "home": sorted(self.world.home),
@@ -244,7 +186,6 @@ class Choice:
     def restore(self, state: dict[str, Any], done: list[dict[str, Any]]) -> None:
         """As a file says it was."""
         self.done = [Done(**one) for one in done]
-        self.belief, self.variance = np.array(state["belief"]), np.array(state["variance"])
         self.accepted = set(state["accepted"])
         self.world.beside = np.array(state["beside"])
         self.world.home = {(a, b) for a, b in state["home"]}
@@ -359,7 +300,7 @@ class Choice:
         """Put a neighbour right that leaves a block no room."""
         standing, place = self.standing(), self.world.pieces[k].face().buffer(BESIDE)
         for n in sorted(standing - self.accepted):
-            off = self.belief[n, :2] - self.world.target(n)[:2]
+            off = self.world.pose[n, :2] - self.world.target(n)[:2]
             other, piece = self.job.pieces[n], self.job.pieces[k]
             bottom, top = (
                 pick(other.extent[end][2], piece.extent[end][2])
@@ -395,7 +336,7 @@ class Choice:
 
     def _wrong(self, k: int) -> bool:
         """Whether a block has to be taken up again."""
-        target, found = self.world.target(k), self.belief[k]
+        target, found = self.world.target(k), self.world.pose[k]
         turned = self.world.pieces[k].turned_by(found[3:], target[3:])
         off = float(np.linalg.norm(found[:3] - target[:3]))
         missing = self._bed(k) - self.standing()
@@ -462,7 +403,7 @@ class Choice:
         if group:
             world.beside[taken] = 0.0
         others = (self.standing() & self._together(k)) - set(taken)
-        goal = fitted(world, self.belief, others, k)
+        goal = fitted(world, others, k)
         world.beside[taken] = beside
         return goal
 

@@ -2,10 +2,9 @@
 
 First the order is chosen with the kinematic cell: among the blocks whose support stands, those of
 the lowest level and farthest from the arm first, the first one that the arm can pick up and put
-down; every state is proven to stand as in the plan. Then the dynamic cell carries it out. After
-every attempt the poses of all blocks are read back, with noise where asked; small deviations are
-corrected in the next placements, large ones are repaired: what stands wrongly is taken up and
-placed again, after what stands on it has been taken away.
+down; every state is proven to stand as in the plan. Then a plant carries it out, and the arm looks
+where everything is; small deviations are corrected in the next placements, large ones are repaired:
+what stands wrongly is taken up and placed again, after what stands on it has been taken away.
 """
 
 from __future__ import annotations
@@ -25,6 +24,7 @@ from learn2assemble.cell.pieces import Piece, pieces_of
 from learn2assemble.cell.site import Obstacle, Site, Source
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_quaternion
+from learn2assemble.motion.plant import Disturbance, Noise, Simulated
 from learn2assemble.planning.clearance import ways_out
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.bodies import Shape
@@ -87,22 +87,6 @@ class StepOf(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Disturbance:
-    """What goes otherwise than planned, for tests of repair and noise."""
-
-    supply: tuple[float, float] = (0.0, 0.0)
-    """Standard deviations of where a presented block stands [m] and of its yaw [rad]."""
-    friction: float = 0.0
-    """Share by which friction differs, and ..."""
-    mass: float = 0.0
-    """... largest share by which masses differ."""
-    drop: frozenset[int] = frozenset()
-    """Numbers of attempts, from 1, in which the block is let go beside and above its place."""
-    push: frozenset[int] = frozenset()
-    """Numbers of attempts after which a block that carries nothing is pushed by 15 mm."""
-
-
-@dataclass(frozen=True)
 class Workcell:
     """How an arm builds."""
 
@@ -111,13 +95,23 @@ class Workcell:
     site: Site = dataclasses.field(default_factory=Site)
     physics: str = "dynamic"
     seed: int = 0
-    noise: tuple[float, float] = (0.0, 0.0)
-    """Standard deviations of what is read back: x and y [m], yaw [rad]."""
+    noise: Noise | tuple[float, float] = (0.0, 0.0)
+    """Of readings in a simulation: a :class:`Noise`, or its first two fields."""
     disturbance: Disturbance | None = None
+    """What goes otherwise than planned in a simulation."""
+    touch: bool = True
+    """Whether the arm learns from what its tool touches where it holds a block."""
     hands: bool = False
     """Props that the arm cannot place or take away are placed and taken away by hand."""
     log: Path | None = None
     """What is appended to after every attempt; where it exists, the build goes on from it."""
+
+    @property
+    def simulated(self) -> Simulated:
+        """The simulated plant that belongs to it."""
+        disturbance = self.disturbance or Disturbance()
+        noise = self.noise if isinstance(self.noise, Noise) else Noise(*self.noise)
+        return Simulated(self.physics, self.seed, noise, disturbance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,13 +171,13 @@ def job_of(plan: Plan, arm: str, joint: float, hands: bool = False) -> Job:
 # ---------------------------------------------------------------- where everything is
 
 
-STOCK, STANDING, LOOSE, LOST, RETURNED = range(5)
+STOCK, STANDING, LOOSE, LOST, RETURNED, MISSING = range(6)
 """A block waits in a magazine, stands in the structure, lies elsewhere where the arm may take it,
-lies where it cannot, or is a prop that has been returned."""
+lies where it cannot, is a prop that has been returned, or is not seen any more."""
 
 
 class WorkcellBlocks:
-    """Poses of all blocks, and which is where.
+    """Where all blocks are believed to be, and in which state.
 
     Args:
         job: its pieces, to which replacements may be added.
@@ -192,8 +186,11 @@ class WorkcellBlocks:
     def __init__(self, job: Job) -> None:
         self.job, self.pieces = job, list(job.pieces)
         count = len(self.pieces)
+        self.names = [piece.id for piece in self.pieces]
+        """What the blocks are called that the pieces are now."""
         self.pose = np.zeros((count, 7))
-        """float64[N, 7]: position [m] and quaternion (w, x, y, z) of the frame of its shape."""
+        """float64[N, 7]: position [m] and quaternion (w, x, y, z) of the frame of its shape, as it
+        is believed."""
         self.state = [STOCK] * count
         self.source: list[int | None] = [None] * count
         """Where each is taken from."""
@@ -222,8 +219,12 @@ class WorkcellBlocks:
                 self.hide(k)
 
     def add(self, piece: int) -> int:
-        """A further block like ``piece``, in stock; its number."""
+        """A further block like ``piece``, in stock; its number. The one that ``piece`` was keeps
+        its name, and ``piece`` gets a new one."""
+        kind = self.pieces[piece].id
         self.pieces.append(self.pieces[piece])
+        self.names.append(self.names[piece])
+        self.names[piece] = f"{kind}/{len(self.pieces)}"
         self.pose = np.vstack([self.pose, self.pose[piece]])
         self.beside = np.vstack([self.beside, np.zeros(3)])
         self.state.append(STOCK)
@@ -293,17 +294,12 @@ class Rows(NamedTuple):
 
 
 def rows_of(
-    world: WorkcellBlocks,
-    poses: np.ndarray,
-    moving: int,
-    masses: np.ndarray | None = None,
-    group: tuple[int, ...] = (),
+    world: WorkcellBlocks, poses: np.ndarray, moving: int, group: tuple[int, ...] = ()
 ) -> Rows:
     """The scene in which ``moving`` waits and everything else is in its place.
 
     Args:
         poses: float64[N, 7] that blocks are taken to have.
-        masses: float64[N], factors of their densities.
         group: blocks that it brings along, as one with it.
     """
     taken = (moving, *group)
@@ -312,7 +308,7 @@ def rows_of(
     for k in [*others, *taken]:
         one = moving if k in taken else k
         piece, turn = world.pieces[k], quaternion_matrix(poses[k, 3:])
-        density = piece.density * (1.0 if masses is None else masses[k])
+        density = piece.density
         for number, part in enumerate(piece.shape):
             place = poses[k, :3] + turn @ np.array(part.centre)
             columns.append((place, poses[k, 3:], one, part.half, part.hull, density, k, number))
@@ -389,10 +385,14 @@ def moves(
                 continue
             grasp = grasp._replace(way=far)
         target = goal[:3] + way.goal @ centre
-        for one in into:
+        # What leans on others comes off them straight up, if not along its own axis.
+        lifts = (
+            (grasp, grasp._replace(into=DOWN)) if grasp.tilt and not grasp.sideways else (grasp,)
+        )
+        for lift, one in itertools.product(lifts, into):
             apart = np.abs(place.insertion() - one).max() > 1e-9
             there = place._replace(into=one) if apart else place
-            yield Move(of_part[way.hold.part], target, grasp, there)
+            yield Move(of_part[way.hold.part], target, lift, there)
 
 
 def way_out(rows: Rows, mine: np.ndarray, way: np.ndarray) -> float | None:
@@ -552,6 +552,10 @@ class Structure:
         self, world: WorkcellBlocks, rows: Rows, placing: bool, group: tuple[int, ...] = ()
     ) -> Studs | None:
         """The joints of studs of a scene, in its rows; None: there are no studs."""
+        return None
+
+    def studs(self) -> Studs | None:
+        """All joints of studs, whose cells are pieces; None: there are none."""
         return None
 
     def loose(self, block: int, world: WorkcellBlocks) -> bool:

@@ -147,7 +147,7 @@ STATE = "build.jsonl"
         type=noise,
         default=(0.0, 0.0),
         metavar="MM[:DEG]",
-        help="standard deviations of the poses that are read back after every placement",
+        help="standard deviations of readings: along each axis, about each axis",
     ),
     arg("--resume", action="store_true", help="go on with the interrupted build in --out"),
     arg("--seed", type=natural, default=0, help="of the search and of a task's problem"),

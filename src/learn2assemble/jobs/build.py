@@ -119,8 +119,8 @@ def build(
         tool: what the arm holds blocks with, ``"suction"`` (the default), ``"suction-side"`` or
             ``"gripper"``.
         physics: in which cell an exact plan is carried out, ``"dynamic"`` or ``"kinematic"``.
-        noise: standard deviations of what is read back while an exact plan is carried out: x and y
-            [m], yaw [rad].
+        noise: standard deviations of what is read of blocks while an exact plan is carried out:
+            along each axis [m], about each axis [rad].
         state: file to which an exact plan's build by an arm appends every attempt; where it
             exists, the build goes on from it.
         reading: how to read a file or an array: ``unit``, ``cell``, ``size``, ``up``, ``depth``,

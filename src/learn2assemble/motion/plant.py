@@ -21,9 +21,10 @@ import numpy as np
 
 from learn2assemble.errors import InputError, Learn2AssembleError
 from learn2assemble.motion.settings import ProgramSettings
-from learn2assemble.registry import Registry
+from learn2assemble.registry import Registry, add_plugin
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.bodies import Shape
+from learn2assemble.robot.studs import Studs
 
 # ---------------------------------------------------------------- what is sensed
 
@@ -102,6 +103,18 @@ class Motion(NamedTuple):
         """How long it takes [s]."""
         return float(self.time[-1]) if len(self.time) else 0.0
 
+    def at(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and velocities, each float64[m, n], at times float64[m]; of two samples or
+        more."""
+        k = np.clip(np.searchsorted(self.time, time, "right") - 1, 0, len(self.time) - 2)
+        h = np.diff(self.time)[k][:, None]
+        u = (np.clip(time, 0.0, self.seconds) - self.time[k])[:, None] / h
+        q0, q1 = self.joints[k], self.joints[k + 1]
+        v0, v1 = self.velocity[k] * h, self.velocity[k + 1] * h
+        bend, third = 3 * (q1 - q0) - 2 * v0 - v1, v0 + v1 - 2 * (q1 - q0)
+        q = q0 + u * (v0 + u * (bend + u * third))
+        return q, (v0 + u * (2 * bend + 3 * u * third)) / h
+
 
 def standing(stage: str, joints: np.ndarray, seconds: float) -> Motion:
     """To wait at joints float64[n] [rad]."""
@@ -135,6 +148,9 @@ class Guard(NamedTuple):
     contact: float | None = None
     """Wanted: ends as soon as what is held, or the empty tool, rests on something with so much
     force [N] against the way it comes (:attr:`Stop.CONTACT`)."""
+    bears: bool = False
+    """Where a contact is wanted: the controller bears most of the force, so that the arm does not
+    give way, and eases it when it stands; for what is pressed home on studs."""
     force: float | None = None
     """Not wanted: stops where the arm or its tool touches anything but what it holds with so much
     [N] (:attr:`Stop.FORCE`)."""
@@ -143,6 +159,9 @@ class Guard(NamedTuple):
     hold: str | None = None
     """``"made"``: ends as soon as the vacuum is made, or the fingers press (:attr:`Stop.HELD`);
     ``"kept"``: stops where it is lost (:attr:`Stop.VACUUM`, :attr:`Stop.WIDTH`)."""
+    taken: float | None = None
+    """Not wanted: the same as ``force`` between the empty tool and what it comes to [N]. A plant
+    that cannot tell the two apart takes the smaller."""
     width: tuple[float, float] | None = None
     """Stops where the opening between the pads leaves this range [m] (:attr:`Stop.WIDTH`)."""
 
@@ -152,7 +171,9 @@ class Request(NamedTuple):
 
     what: str
     """``present``: the magazine presents this block; ``return``: it takes it back; ``place``,
-    ``remove``: a person puts the block where it shall be, or takes it away."""
+    ``remove``: a person puts the block where it shall be, or takes it away; ``join``: nobody does
+    anything, but a simulation, in which studs do not hold, is told that the block clutches the one
+    called ``kind`` and follows it until that is let go."""
     block: str
     """From now on it is called so."""
     kind: str
@@ -161,7 +182,7 @@ class Request(NamedTuple):
     """float64[7]: where it shall be then, or was before."""
 
 
-REQUESTS = ("present", "return", "place", "remove")
+REQUESTS = ("present", "return", "place", "remove", "join")
 
 
 # ---------------------------------------------------------------- what came of it
@@ -192,6 +213,23 @@ class Stop(StrEnum):
     """No answer in time."""
 
 
+class Played(NamedTuple):
+    """What the drives were told, braking included, at times float64[t] after those of the motion
+    before."""
+
+    time: np.ndarray
+    """float64[t] [s of the plant's clock]"""
+    joints: np.ndarray
+    """float64[t, n] [rad]"""
+    velocity: np.ndarray
+    """float64[t, n] [rad/s]"""
+    width: np.ndarray
+    """float64[t]: opening between the pads as it was [m]; 0 for a suction tool."""
+    command: np.ndarray
+    """float64[t]: opening the fingers were told [m]; for a suction tool 1 with the vacuum on, else
+    0."""
+
+
 class Report(NamedTuple):
     """What came of a motion; the arm stands."""
 
@@ -199,13 +237,15 @@ class Report(NamedTuple):
     done: float
     """Share of the motion that was carried out, 0 to 1, by its time."""
     joints: np.ndarray
-    """float64[n] where the arm is [rad]."""
+    """float64[n] where the arm was told to be at the end [rad]; the next motion begins there."""
     seconds: float
     """How long it took [s of the plant's clock]."""
     detail: str = ""
     """Why, in one line, where it is known."""
     tool: ToolReading = ToolReading()
     """What the tool felt at the end."""
+    played: Played | None = None
+    """How it went, at 50 samples a second or more, where the plant knows."""
 
 
 class Plant(Protocol):
@@ -283,6 +323,52 @@ class Surroundings(NamedTuple):
     """In which a controller has to begin with what it was told [s of this machine]."""
 
 
+class Noise(NamedTuple):
+    """Of readings: standard deviations, and what becomes of them."""
+
+    place: float = 0.0
+    """x and y [m]"""
+    turn: float = 0.0
+    """About each axis [rad]"""
+    height: float | None = None
+    """z [m]; None: as x and y."""
+    missing: float = 0.0
+    """Share of readings of blocks that are missing."""
+    outliers: float = 0.0
+    """Share that is off by far."""
+    late: float = 0.0
+    """Share that is as old as the look before."""
+
+
+class Disturbance(NamedTuple):
+    """What goes otherwise than planned in a simulated cell."""
+
+    supply: tuple[float, float] = (0.0, 0.0)
+    """Standard deviations of where a presented block stands [m] and of its yaw [rad]."""
+    friction: float = 0.0
+    """Share by which friction differs, and ..."""
+    mass: float = 0.0
+    """... largest share by which masses differ."""
+    drop: frozenset[int] = frozenset()
+    """Numbers of grasps, from 1, after which the block is let go on the way."""
+    push: frozenset[int] = frozenset()
+    """Numbers of grasps after whose return a block that carries nothing is pushed by 15 mm."""
+    table: tuple[float, float] = (0.0, 0.0)
+    """Largest height by which the table is off [m], and largest angle it leans by [rad]."""
+    height: float = 0.0
+    """Largest amount by which blocks are higher or lower than meant [m]."""
+
+
+class Simulated(NamedTuple):
+    """What a simulated plant is; others do not look at it."""
+
+    physics: str = "dynamic"
+    """``dynamic``, or ``kinematic``: blocks follow the hand and stay where they are let go."""
+    seed: int = 0
+    noise: Noise = Noise()
+    disturbance: Disturbance = Disturbance()
+
+
 class Setup(NamedTuple):
     """The cell as its owner describes it, that is, as it is meant to be."""
 
@@ -299,12 +385,17 @@ class Setup(NamedTuple):
     """Of blocks on one another and on the table."""
     joints: np.ndarray | None = None
     """float64[n] where the arm stands [rad]; None: at home."""
+    studs: Studs | None = None
+    """Where blocks clutch: the joints they have where they belong. Their cells are numbers of
+    ``kinds``; a block that is called otherwise has those of its kind."""
     around: Surroundings = Surroundings()
+    simulated: Simulated = Simulated()
 
 
 PLANTS: Registry[Callable[[str, Setup], Plant]] = Registry("plant", {})
 """What opens a plant, by the scheme of its address: called with what follows ``SCHEME://`` and the
 cell as it is meant to be."""
+add_plugin("learn2assemble.simulation.plant", "plant")
 
 
 def open_plant(address: str, setup: Setup) -> Plant:
@@ -327,7 +418,8 @@ class PlantError(Learn2AssembleError):
     """A plant answered what cannot be, or not at all; the arm was told to stop.
 
     Args:
-        stop: :attr:`Stop.LOST`, :attr:`Stop.LATE` or :attr:`Stop.REFUSED`.
+        stop: :attr:`Stop.LOST`, :attr:`Stop.LATE`, :attr:`Stop.PROTECTIVE`, or
+            :attr:`Stop.REFUSED`, also where an answer was refused.
         why: one line.
     """
 
@@ -421,7 +513,7 @@ class Checked:
         why = self._odd_report(report)
         if why:
             self._refuse(why)
-        if report.stop in (Stop.LOST, Stop.LATE):
+        if report.stop in (Stop.LOST, Stop.LATE, Stop.REFUSED, Stop.PROTECTIVE):
             self._halt()
             raise PlantError(report.stop, report.detail or "the plant says so")
         return report

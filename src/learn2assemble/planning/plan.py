@@ -230,6 +230,11 @@ class ArmReport:
     """Mean distance of the blocks from their places at the end [m] ..."""
     error_worst: Metre | None = None
     """... and the largest."""
+    belief_error: Metre | None = None
+    """Largest distance of a block from where it was believed to be at the end, where a simulation
+    can tell [m]."""
+    overlap: Annotated[float, Range(-1e3, 1e3)] | None = None
+    """By which two blocks overlap at most at the end [m]; not above 0: they do not."""
     motion_fault: str | None = None
     """Why no robot is to be given the recorded motion, if it is not sound; the build is as it is
     told."""

@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learn2assemble.geometry.hulls import Hull, box_hull, hull_of
+from learn2assemble.geometry.hulls import Hull, box_hull, hull_of, separation
+from learn2assemble.geometry.rotations import quaternion_matrix
 
 
 class Part(NamedTuple):
@@ -75,3 +76,21 @@ def body_of(shape: Shape) -> Body:
 @lru_cache(maxsize=4096)
 def _box(half: tuple[float, float, float]) -> Hull:
     return box_hull(half)
+
+
+Solid = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Corners, normals of faces and directions of edges of a convex part, where it is."""
+
+
+def solids(shape: Shape, pose: np.ndarray) -> list[Solid]:
+    """The parts of a block at a pose float64[7], as :func:`~.hulls.separation` takes them."""
+    turn = quaternion_matrix(pose[3:])
+    return [
+        (pose[:3] + part.points @ turn.T, part.solid.normals @ turn.T, part.solid.edges @ turn.T)
+        for part in shape
+    ]
+
+
+def overlaps(one: list[Solid], two: list[Solid], depth: float) -> bool:
+    """Whether two blocks share more than ``depth`` along every axis that could part them [m]."""
+    return any(separation(a, b)[0] < -depth for a in one for b in two)

@@ -67,7 +67,8 @@ class Attitude(NamedTuple):
     angles to the approach, in the tool frame [m]."""
     into: tuple[float, float, float] | None = None
     """Unit vector along which what is held comes to its place, world frame; None: the approach
-    itself, and straight down where that comes from the side."""
+    itself, and straight down where that comes from the side. Of a grasp: along which the hand comes
+    to it, and back along which it takes it away."""
 
     def rotation(self) -> np.ndarray:
         """float64[3, 3]: the tool's axes as columns, world frame."""
@@ -90,6 +91,11 @@ class Attitude(NamedTuple):
     def apart(self) -> bool:
         """Whether what is held comes to its place another way than the hand leaves it."""
         return self.into is not None or self.sideways
+
+    @property
+    def straight(self) -> bool:
+        """Of a grasp: whether it is taken away another way than along the approach."""
+        return self.into is not None
 
     def insertion(self) -> np.ndarray:
         """float64[3]: unit vector along which what is held comes to its place, world frame."""

@@ -338,7 +338,9 @@ class KinematicCell:
         self.collisions = self._checker(scene)
         held, height = grip_width(scene, move.cell, move.grasp), crossing_height(scene, move)
         opening = held + ROOM
-        pick = self.approaches.solve(scene.position[move.cell], move.grasp, height)
+        pick = self.approaches.solve(
+            scene.position[move.cell], move.grasp, height, move.grasp.straight
+        )
         if isinstance(pick, str):
             return Attempt(Outcome.UNREACHABLE, "pick", pick)
         self.collisions.place(scene)
@@ -391,7 +393,8 @@ class KinematicCell:
         self, scene: Scene, move: Move, height: float, held: float
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Approaches whose tops are joined by a free motion, higher up."""
-        pick = self.approaches.solve(scene.position[move.cell], move.grasp, height + DETOUR)
+        above, grasp = height + DETOUR, move.grasp
+        pick = self.approaches.solve(scene.position[move.cell], grasp, above, grasp.straight)
         place = self.approaches.solve(move.target, move.place, height + DETOUR, True)
         if isinstance(pick, str) or isinstance(place, str):
             return None

@@ -49,6 +49,8 @@ class Outcome(IntEnum):
     """The placed object did not stay where it was released."""
     DROPPED = 7
     """The block left the hand between lifting and release."""
+    NO_CONTACT = 8
+    """What was lowered met nothing at its place, and went back."""
 
     @property
     def label(self) -> str:

@@ -15,21 +15,16 @@ from learn2assemble.constants import FRICTION, GRAVITY
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.hulls import Hull
 from learn2assemble.geometry.rotations import cube_yaw, quaternion_matrix
-from learn2assemble.motion.program import Blocks, Program, ProgramStep
+from learn2assemble.motion.plant import BlockReading, Readings, Report, Request
+from learn2assemble.motion.program import LOAD_TIME, Blocks, Program, ProgramStep
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.grasps import Attitude, facing
 from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene
+from learn2assemble.robot.scene import rotation_matrix
 from learn2assemble.robot.studs import Studs
+from learn2assemble.simulation.bench import Bench
 from learn2assemble.simulation.clutch import Clutch
-from learn2assemble.simulation.execution import (
-    BLIND,
-    LOAD_TIME,
-    REST_TIME,
-    Execution,
-    ShiftRule,
-    abandon,
-    check_rest,
-)
+from learn2assemble.simulation.execution import Execution, Rig, abandon
 from learn2assemble.simulation.model import (
     TIMESTEP,
     Failure,
@@ -42,11 +37,14 @@ from learn2assemble.simulation.model import (
     take_order,
 )
 from learn2assemble.simulation.prepare import WorldChecker, prepare, require_held, rest_pose
-from learn2assemble.simulation.simulation import PUSH, Rules, Simulation, Trace
+from learn2assemble.simulation.rest import ShiftRule, check_rest
+from learn2assemble.simulation.simulation import BLIND, PUSH, Rules, Simulation, Trace
 from learn2assemble.simulation.trajectory import PathSamples, load_ruckig
 
 LOADED_SPEED = 0.6
 """Share of the arm's speed that is used while the hand holds something."""
+REST_TIME = 1.0
+"""Longest time to wait for rest after a move [s]."""
 SETTLE_TIME = 2.0
 """Longest time to wait for a whole structure to rest [s]."""
 _MAX_WORLDS = 32
@@ -159,16 +157,18 @@ class DynamicCell:
             width,
             self.trace,
         )
-        if scene.half is not None:
-            sim.contacts.along = move.place.insertion()
         sim.clutch = clutch_of(sim, order.objects, scene.studs, order.target)
-        run = Execution(sim, order, course, self.limits, self.loaded, self.skip_free_motion)
+        known = ExactSenses(sim, order, self.skip_free_motion)
+        rig = Rig(known, known, self.arm, world, self.limits, self.loaded)
+        run = Execution(rig, order, course, sim.joints)
         failure = None
         try:
+            known.settle("approach")
             run.go()
+            known.settle("home")
             speed = sim.speed(order.target)
             check_rest(order, sim.poses, speed, run.landed, self.shift_rule)
-            run.check_home()
+            known.check_home()
         except Failure as found:
             failure = abandon(run, found, self.recover)
         found = _report(order, sim.poses, sim.joints.copy(), failure)
@@ -241,6 +241,70 @@ class DynamicCell:
 def clutch_of(sim: Simulation, objects: Objects, studs: Studs | None, target: int) -> Clutch | None:
     """The joints of studs of a simulation that is about to begin."""
     return None if studs is None else Clutch(sim.world, sim.data, objects, studs, target)
+
+
+class ExactSenses(Bench):
+    """The simulation of one attempt as a plant, and what is known of it: everything, exactly."""
+
+    def __init__(self, sim: Simulation, order: Order, skip_free: bool) -> None:
+        super().__init__(sim, skip_free)
+        self.order = order
+
+    def sense(self) -> Readings:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        sim, exact = self.sim, np.zeros((6, 6))
+        poses = zip(self.order.names, sim.poses.copy(), strict=False)
+        blocks = tuple(BlockReading(name, pose, exact, sim.time) for name, pose in poses)
+        return Readings(sim.time, sim.joints, sim.velocity, blocks, self.feel(), sim.arm.name)
+
+    def request(self, request: Request) -> Report:
+        """Nobody else is in this cell."""
+        raise InputError("request", request.what, "none, in the cell of a single move")
+
+    def stop(self) -> None:
+        """It stands between two motions."""
+
+    def close(self) -> None:
+        """Nothing is kept open."""
+
+    def check_home(self) -> None:
+        """Refuse a brick that is not home at the end.
+
+        Raises:
+            Failure: TOPPLED.
+        """
+        clutch = self.sim.clutch
+        if clutch is not None and clutch.loose:
+            name = self.order.names[self.order.target]
+            words = f"pressed with {self.hardest:.1f} N of {clutch.press:g} N"
+            raise Failure(Outcome.TOPPLED, "rest", f"{name} is loose on its studs, {words}")
+
+    def settle(self, stage: str) -> None:
+        """See :class:`~learn2assemble.simulation.execution.Senses`."""
+        sim = self.sim
+        rest = BLIND._replace(until=lambda: sim.asleep(besides=self.holding))
+        sim.let_go()
+        sim.wait(round(REST_TIME / TIMESTEP), stage, rest)
+
+    def taken(self) -> None:
+        """It is known anyway."""
+
+    def let_go(self) -> None:
+        """It is known anyway."""
+
+    def lost(self) -> None:
+        """It is known anyway."""
+
+    def in_hand(self) -> tuple[np.ndarray, np.ndarray]:
+        """See :class:`~learn2assemble.simulation.execution.Senses`."""
+        sim = self.sim
+        position, rotation = sim.tool()
+        pose = sim.poses[sim.target]
+        return rotation.T @ (pose[:3] - position), rotation.T @ rotation_matrix(pose[3:])
+
+    def look(self) -> np.ndarray:
+        """See :class:`~learn2assemble.simulation.execution.Senses`."""
+        return self.sim.poses.copy()
 
 
 def _report(

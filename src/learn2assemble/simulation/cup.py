@@ -12,14 +12,11 @@ slipped over an edge, it comes off.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
-from learn2assemble.constants import GRAVITY
 from learn2assemble.robot.holding import FACING
-from learn2assemble.robot.kinematics import Chain, forward_many
 from learn2assemble.robot.scene import rotation_matrix
 from learn2assemble.robot.tool import Cup, Suction
 from learn2assemble.simulation.model import SHRINK, TIMESTEP, SimulatedWorld
@@ -32,6 +29,8 @@ SLIDING = 4.0
 """Share of its give that the lip slips each step, by excess of the load: a block slips at 80 mm/s
 under 1.2 times what friction carries. The weld that stands for the bellows damps as well as it
 springs, so that a share of 1 would let it creep."""
+UPRIGHT = (0.0, 0.0, 1.0)
+"""The axis of a cup whose frame is that of the tool."""
 LOOK = 10
 """Steps between two looks whether the lip is closed."""
 
@@ -79,6 +78,21 @@ class Vacuum:
         if self.held is not None:
             self._watch()
 
+    def take_over(self, before: Vacuum, number: int | None) -> None:
+        """Go on as another cup of the same tool did in another simulation of the same moment.
+
+        Args:
+            before: that cup.
+            number: of the object in it, here; None: it holds nothing.
+        """
+        self.used, self.lost, self.most = before.used, before.lost, before.most
+        self._on, self._off, self.held = before._on, before._off, number
+        if number is None:
+            return
+        self.model.eq_obj2id[self._weld] = self.world.first + number
+        self.model.eq_data[self._weld] = before.model.eq_data[before._weld]
+        self.data.eq_active[self._weld] = 1
+
     def load(self) -> tuple[np.ndarray, np.ndarray]:
         """What the held block loads the cup with: force [N] and moment about the tool point [N m],
         each float64[3] in the tool frame."""
@@ -86,7 +100,9 @@ class Vacuum:
         # The weld comes last among the equalities, which come first: the force at the cup, then
         # the moment in the frame of the block, in units of twice the turn.
         rows = d.efc_force[d.ne - 6 : d.ne]
-        tool = self._lip(self.used)[1]
+        tool = d.site_xmat[w.tool].reshape(3, 3)
+        if self.used.lip.axis != UPRIGHT:
+            tool = tool @ self.used.lip.frame()
         block = d.xmat[w.first + (self.held or 0)].reshape(3, 3)
         return tool.T @ rows[:3], 0.5 * (tool.T @ (block @ rows[3:]))
 
@@ -190,68 +206,3 @@ class Vacuum:
         mujoco.mju_axisAngle2Quat(error, axis, share * float(axis @ angle))
         mujoco.mju_mulQuat(now, error, values[6:10].copy())
         values[6:10] = now
-
-
-class Payload(NamedTuple):
-    """What hangs from the tool, in its frame."""
-
-    mass: float
-    """[kg]"""
-    centre: np.ndarray
-    """float64[3]: of mass [m]."""
-    inertia: np.ndarray
-    """float64[3, 3]: about it [kg m2]."""
-
-
-def hanging(world: SimulatedWorld, data: mujoco.MjData, number: int) -> Payload:
-    """An object as it is in the hand now."""
-    m, body = world.model, world.first + number
-    tool = data.site_xmat[world.tool].reshape(3, 3)
-    own = tool.T @ data.ximat[body].reshape(3, 3)
-    centre = tool.T @ (data.xipos[body] - data.site_xpos[world.tool])
-    return Payload(float(m.body_mass[body]), centre, own * m.body_inertia[body] @ own.T)
-
-
-def peak_load(
-    cup: Cup, chain: Chain, load: Payload, joints: np.ndarray, period: float
-) -> tuple[float, float]:
-    """Largest shares of pull-off force and friction on a motion that is followed exactly.
-
-    Args:
-        cup: that holds it.
-        chain: of the arm.
-        load: what hangs from the tool.
-        joints: float64[k, n] at equal steps of time [rad].
-        period: between them [s].
-    """
-    if len(joints) < 3:
-        joints = np.repeat(joints[:1], 3, axis=0)
-    where, turn = forward_many(chain, np.ascontiguousarray(joints))
-    middle = where + turn @ load.centre
-    up = np.array([0.0, 0.0, GRAVITY])
-    force = load.mass * (np.diff(middle, 2, axis=0) / period**2 + up)
-    spin = turn[1:] @ turn[:-1].transpose(0, 2, 1)  # by small angles
-    rate = np.stack(
-        [
-            spin[:, 2, 1] - spin[:, 1, 2],
-            spin[:, 0, 2] - spin[:, 2, 0],
-            spin[:, 1, 0] - spin[:, 0, 1],
-        ],
-        -1,
-    ) / (2 * period)
-    inertia = turn[1:-1] @ load.inertia @ turn[1:-1].transpose(0, 2, 1)
-    mean = (rate[1:] + rate[:-1]) / 2
-    swing = np.einsum("kij,kj->ki", inertia, np.diff(rate, axis=0) / period)
-    swing += np.cross(mean, np.einsum("kij,kj->ki", inertia, mean))
-    lip, frame = where + turn @ np.array(cup.lip.at), turn @ cup.lip.frame()
-    moment = swing + np.cross(middle[1:-1] - lip[1:-1], force)
-    # The cup is loaded with what it does to the block, the other way.
-    shares = [
-        cup.load(-f, -m)
-        for f, m in zip(
-            np.einsum("kji,kj->ki", frame[1:-1], force),
-            np.einsum("kji,kj->ki", frame[1:-1], moment),
-            strict=True,
-        )
-    ]
-    return max(off for off, _ in shares), max(slip for _, slip in shares)

@@ -1,41 +1,49 @@
-"""One pick and place in the simulation, stage by stage; the first thing that goes wrong ends it.
+"""One pick and place, stage by stage, as the side that decides carries it out: it knows how things
+are meant to be and what it senses, and talks to a plant. The first thing that goes wrong ends it.
 
-After a failure the arm leaves, and what it holds goes back; after success the scene is compared
-with what was ordered.
+After a failure the arm leaves, and what it holds goes back.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Protocol
 
 import numpy as np
 
+from learn2assemble.motion.plant import (
+    Guard,
+    Motion,
+    Plant,
+    Played,
+    Report,
+    Stop,
+    ToolCommand,
+    standing,
+)
 from learn2assemble.motion.program import LOAD_TIME
+from learn2assemble.motion.record import RATE
 from learn2assemble.robot.approach import ApproachPath, approach_path, tool_path
-from learn2assemble.robot.arm import Limits
+from learn2assemble.robot.arm import Arm, Limits
 from learn2assemble.robot.grasps import facing
 from learn2assemble.robot.joint_path import JointPath, joint_path
-from learn2assemble.robot.kinematics import get_chain
-from learn2assemble.robot.moves import Outcome, carried
-from learn2assemble.robot.scene import rotation_matrix
-from learn2assemble.simulation.cup import Vacuum, hanging, peak_load
-from learn2assemble.simulation.model import TIMESTEP, Failure, Order
+from learn2assemble.robot.kinematics import forward, get_chain
+from learn2assemble.robot.moves import STAGES, Outcome, carried
+from learn2assemble.simulation.load import hanging, peak_load
+from learn2assemble.simulation.model import (
+    TIMESTEP,
+    Failure,
+    Order,
+    SimulatedWorld,
+)
 from learn2assemble.simulation.prepare import (
     Course,
     WorldChecker,
     free_way,
     leaving,
     rest_pose,
-)
-from learn2assemble.simulation.simulation import (
-    BLOCK,
-    PUSH,
-    TOUCH,
-    Rules,
-    Simulation,
-    Watch,
 )
 from learn2assemble.simulation.trajectory import (
     PathLimits,
@@ -56,6 +64,9 @@ SOFT = 0.01
 """... and what it holds is lowered the last bit [m] ..."""
 SOFT_SPEED = 0.02
 """... at this speed of the tool [m/s]."""
+GUARDED_SPEED = 0.01
+"""... and, where that is guarded, within :data:`LOOSE` of its place at this one [m/s], so that it
+meets what is there with less than :data:`PRESSED`."""
 GENTLE, MOST_SLOWER = 0.7, 6
 """What hangs from a cup is moved so that it loads it with no more than this share of what it holds;
 how often it is slowed down for that, if need be."""
@@ -66,65 +77,110 @@ PERIOD = 0.01
 """Between the instants at which that load is computed [s]."""
 PRESS_NEAR, PRESS_SPEED = 0.001, 0.005
 """From so near to the contact [m] it is pressed on studs so slowly [m/s]."""
-BORNE, BORNE_RATE = 0.9, 0.2
-"""Share of a press that the controller bears, and how quickly it follows the sensor, each step."""
-EASES, EASED = 12, 0.4
-"""After a press: how often the drives are told where they are, and on which share of the way."""
 SLOT_SPEED = 0.1
 """So slowly it goes into a slot between others, and out of it [m/s]: faster, it strays by more than
 the joints leave."""
 LANDED = 1.0
 """What rests presses so hard on others [N]: as much as a block weighs."""
-GRIPPED = 0.8
-"""The grasp holds when both fingers press with this share of their force ..."""
+PRESSED = 20.0
+"""What is set down never presses harder on anything [N]."""
 GRIP_TIME = 0.2
-"""... within this time after they were told to [s]."""
+"""The tool has taken hold within this time after it was told to [s]."""
 CALM_TIME = 0.1
 """The hand stands still so long before it is looked where a box of given size sits in it [s]."""
-REST_TIME = 1.0
-"""Longest time to wait for rest [s]."""
-EMPTY = Watch(Rules(TOUCH, PUSH, None))
-LOADED = Watch(Rules(TOUCH, None, TOUCH))
-NEAR = Watch(Rules(TOUCH, None, None))
-BESIDE = Watch(Rules(TOUCH, None, PUSH))
-BLIND = Watch(Rules(None, None, None))
+ELSEWHERE = 0.03
+"""What is seen so far from where it should be in the hand is not what the hand holds [m]."""
+TOUCH = 0.5
+"""Smallest force between things that must not meet that counts as a collision [N]: half the weight
+of a block. A brush without force is none; a block that it moves nevertheless is noticed later."""
+PUSH = 5.0
+"""The same between the open hand and the block it is about to grasp [N]: a finger that slides a
+free block (friction holds it with 1 N) is none, one that lands on it is."""
+EMPTY = Guard(force=TOUCH, taken=PUSH)
+LOADED = Guard(force=TOUCH, held=TOUCH, hold="kept")
+NEAR = Guard(force=TOUCH, hold="kept")
+BESIDE = Guard(force=TOUCH, held=PUSH, hold="kept")
+LOOSELY = Guard(force=TOUCH)
+BLIND = Guard()
+CLOSING = Guard(force=TOUCH, hold="made")
 """What is looked for with an empty hand, a loaded one, near the contact, where what is held slides
-along others, and after a failure."""
+along others, while it is let go, after a failure, and while the tool takes hold."""
+
+
+class Senses(Protocol):
+    """What an attempt asks of what is known."""
+
+    def settle(self, stage: str) -> None:
+        """Wait until everything rests."""
+        ...
+
+    def taken(self) -> None:
+        """The tool has taken hold."""
+        ...
+
+    def in_hand(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pose of the object in the tool frame, as far as it is known: float64[3] [m], [3, 3]."""
+        ...
+
+    def look(self) -> np.ndarray:
+        """float64[b, 7]: where the objects are, the one in the hand included."""
+        ...
+
+    def let_go(self) -> None:
+        """The tool has let go where the object rests."""
+        ...
+
+    def lost(self) -> None:
+        """What was held is not in the hand any more."""
+        ...
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What carries an attempt out."""
+
+    plant: Plant
+    senses: Senses
+    arm: Arm
+    world: SimulatedWorld | None
+    """Model of the cell as it is believed, to plan ways in; None: planned ways are not looked at
+    again, and nothing is slowed down for what hangs from a cup."""
+    limits: Limits
+    """Of the joints while the hand is empty, ..."""
+    loaded: Limits
+    """... and while it holds something."""
+    guarded: bool = False
+    """Whether an object that meets nothing where it shall stand goes back instead of being let
+    go."""
 
 
 class Execution:
-    """Carries out a course in a simulation.
+    """Carries out a course.
 
     Args:
-        sim: at the beginning of the attempt.
-        order: what is asked.
+        rig: with what.
+        order: what is asked, in the world as it is believed.
         course: how.
-        limits: of the joints while the hand is empty.
-        loaded: of the joints while it holds something.
-        skip_free: let time pass instead of simulating what the arm does far from everything.
+        joints: float64[n] where the arm stands [rad].
     """
 
-    def __init__(
-        self,
-        sim: Simulation,
-        order: Order,
-        course: Course,
-        limits: Limits,
-        loaded: Limits,
-        skip_free: bool = False,
-    ) -> None:
-        self.sim, self.order, self.course = sim, order, course
-        self.limits, self.loaded, self.skip_free = limits, loaded, skip_free
+    def __init__(self, rig: Rig, order: Order, course: Course, joints: np.ndarray) -> None:
+        self.rig, self.order, self.course = rig, order, course
+        self.joints = joints
+        self.log: list[tuple[str, Played]] = []
+        """What the drives were told, by stage."""
         self.inside: ApproachPath | None = None
         """The approach path the hand is on; None where it travels."""
         self.segments_done = 0
         """How many straight parts of the way across are done."""
         self.holding = False
         """Whether the object is in the hand."""
+        self.closed = False
+        """Whether the tool was told to hold."""
         self.landed = False
         """Whether it rested on something before the hand let go of it."""
-        self.pressed = 0.0
-        """The largest force with which it was pressed on studs [N]."""
+        self.gone: int | None = None
+        """After so many entries of the log it was lost."""
 
     def go(self) -> None:
         """The whole of it.
@@ -132,90 +188,144 @@ class Execution:
         Raises:
             Failure: at the first thing that goes wrong; the arm has stopped.
         """
-        course, sim = self.course, self.sim
-        self.settle("approach")
-        self.travel(course.there, "approach")
+        course, gripper = self.course, self.rig.arm.gripper
+        opened: tuple[ToolCommand, ...] = ()
+        if self.rig.arm.suction is None:
+            opened = (ToolCommand(width=self.order.opening, speed=gripper.speed),)
+        self.travel(course.there, "approach", EMPTY, opened)
         self.grasp(course.plan.pick)
         self.carry(self.checked(course.across, "cross"))
         if self.order.scene.half is not None:
             # What is seen shall be where it sits, not how it swings.
-            sim.wait(_steps(CALM_TIME), "cross", LOADED)
+            self.wait(CALM_TIME, "cross", LOADED)
         place, leave = self.corrected()
         self.lower(place, "place", LOADED, NEAR)
-        self.ease(NEAR)
-        self.release("release", NEAR)
+        if self.rig.guarded and not self.landed:
+            detail = f"nothing is met {1e3 * self.order.below:.0f} mm below the place"
+            raise Failure(Outcome.NO_CONTACT, "place", detail)
+        self.release("release", LOOSELY)
         self.inside = leave
-        self.rise("retreat", NEAR)
+        self.rise("retreat", LOOSELY)
         self.travel(self.checked(course.home, "home"), "home")
-        self.settle(sim.stage)
+
+    # ------------------------------------------------------------ what a plant is told
+
+    def do(
+        self, run: Motion, guards: tuple[Guard, ...], commands: tuple[ToolCommand, ...] = ()
+    ) -> Report:
+        """Let the plant carry a motion out.
+
+        Raises:
+            Failure: where something was touched that should not be, or what was held is lost.
+        """
+        report = self.rig.plant.execute(run, commands, guards)
+        self.joints = report.joints
+        self.log.append((run.stage, report.played or told(run, report)))
+        if report.stop == Stop.FORCE:
+            grasping = run.stage in ("approach", "pick", "lift")
+            touch = Outcome.GRASP_COLLISION if grasping else Outcome.PLACE_COLLISION
+            raise Failure(touch, run.stage, report.detail or "something is touched")
+        if report.stop in (Stop.VACUUM, Stop.WIDTH):
+            self.gone = len(self.log)
+            raise Failure(Outcome.GRASP_LOST, run.stage, report.detail or "the hand holds nothing")
+        return report
+
+    def follow(
+        self,
+        path: JointPath,
+        bounds: PathLimits,
+        stage: str,
+        guards: tuple[Guard, ...],
+        segments: tuple[Segment, ...] = (),
+        commands: tuple[ToolCommand, ...] = (),
+    ) -> Report:
+        """Move along a path; guards begin where the path has their ``begin`` as its parameter."""
+        run = motion(path, bounds, TIMESTEP, segments)
+        begins = np.searchsorted(run.progress[:, 0], [guard.begin for guard in guards]).tolist()
+        at = (g._replace(begin=k * TIMESTEP) for g, k in zip(guards, begins, strict=True))
+        start = self.joints[None]
+        told = Motion(
+            stage,
+            TIMESTEP * np.arange(len(run.position) + 1),
+            np.vstack([start, run.position]),
+            np.vstack([np.zeros_like(start), run.velocity]),
+        )
+        return self.do(told, tuple(at), commands)
+
+    def wait(
+        self, seconds: float, stage: str, guard: Guard, commands: tuple[ToolCommand, ...] = ()
+    ) -> Report:
+        """Stand still, while the tool does what it is told."""
+        return self.do(standing(stage, self.joints, seconds), (guard,), commands)
+
+    def tool(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pose of the tool float64[3] [m] and float64[3, 3], as it was told to be."""
+        return forward(get_chain(self.rig.arm), self.joints)
+
+    # ------------------------------------------------------------ the stages
 
     def checked(self, way: np.ndarray, stage: str) -> np.ndarray:
         """A planned way from where the arm is; another one where things are not as planned and
         something is in the way now."""
-        sim = self.sim
-        checker = WorldChecker(sim.arm, sim.world, sim.poses.copy(), self.order.names)
+        rig, planned = self.rig, np.vstack([self.joints, way[1:]])
+        poses = rig.senses.look()
+        if rig.world is None:
+            return planned
+        checker = WorldChecker(rig.arm, rig.world, poses, self.order.names)
         if self.holding:
-            position, rotation = sim.tool()
-            pose = sim.poses[sim.target]
-            turned = rotation.T @ rotation_matrix(pose[3:])
-            checker.carry(sim.target, rotation.T @ (pose[:3] - position), turned, self.order.held)
+            checker.carry(self.order.target, *rig.senses.in_hand(), self.order.held)
         else:
             checker.empty(self.order.opening)
-        planned = np.vstack([sim.joints, way[1:]])
         if all(checker.blocked(start, end) is None for start, end in pairwise(planned)):
             return planned
-        return free_way(checker, sim.joints, way[-1], stage)
+        return free_way(checker, self.joints, way[-1], stage)
 
-    def settle(self, stage: str) -> None:
-        """Wait until every object rests."""
-        self.sim.wait(_steps(REST_TIME), stage, BLIND._replace(until=self.sim.asleep))
-
-    def travel(self, way: np.ndarray, stage: str, watch: Watch = EMPTY) -> None:
-        """Move the empty hand along straight lines of the joints."""
+    def travel(
+        self,
+        way: np.ndarray,
+        stage: str,
+        guard: Guard = EMPTY,
+        commands: tuple[ToolCommand, ...] = (),
+    ) -> None:
+        """Move the empty hand along straight lines of the joints; the tool is told something as it
+        begins."""
         self.inside = None
         for start, end in pairwise(way):
-            path = joint_path(np.array([start, end]), self.limits)
-            bounds = limits_along(path, self.limits)
-            if self.skip_free:
-                self.sim.skip(path, bounds, stage)
-            else:
-                self.sim.follow(path, bounds, stage, (watch,))
+            path = joint_path(np.array([start, end]), self.rig.limits)
+            self.follow(path, limits_along(path, self.rig.limits), stage, (guard,), (), commands)
+            commands = ()
 
     def grasp(self, approach: ApproachPath) -> None:
         """Down, take hold, up."""
-        sim, self.inside = self.sim, approach
+        self.inside, limits = approach, self.rig.limits
         above = approach.rise > -1e-9  # The contact itself, whatever rounding made of it.
         joints, rise = approach.joints[above], approach.rise[above]
-        path = joint_path(joints[::-1], self.limits)
-        bounds = limits_along(path, self.limits)
+        path = joint_path(joints[::-1], limits)
+        bounds = limits_along(path, limits)
         segments = approach_speed_limits(path, rise[::-1], ((CAREFUL, CAREFUL_SPEED),), bounds)
-        sim.follow(path, bounds, "pick", (EMPTY,), segments)
-        if sim.cup is not None:
-            self.suck(sim.cup)
-        else:
-            self.close()
-        sim.hold()
+        self.follow(path, bounds, "pick", (EMPTY,), segments)
+        self.close()
         self.holding = True
-        grasp, mass = self.course.plan.move.grasp, sim.mass(self.order.target)
+        grasp, load = self.course.plan.move.grasp, ToolCommand(load=self.mass())
         if grasp.sideways:
             out = int(np.searchsorted(rise, grasp.way - 1e-9)) + 1
             self.draw(joints[:out], grasp.way)
             joints, rise = joints[out - 1 :], rise[out - 1 :] - grasp.way
-        sim.load(mass, _steps(LOAD_TIME), "pick", NEAR)
+        self.wait(LOAD_TIME, "pick", NEAR, (load,))
         path, bounds = self.gently(joints)
         off = float(np.interp(LOOSE, rise, path.knots))
-        watches, segments = (NEAR, LOADED._replace(start=off)), ()
+        guards, segments = (NEAR, LOADED._replace(begin=off)), ()
         if self.order.scene.half is not None and not grasp.sideways:
             # Beside others it slides out of a slot.
             out = float(np.interp(self.slot(), rise, path.knots))
-            watches = (NEAR, BESIDE._replace(start=off), LOADED._replace(start=out))
+            guards = (NEAR, BESIDE._replace(begin=off), LOADED._replace(begin=out))
             slowly = min(SLOT_SPEED * out / self.slot(), bounds.speed)
             # It comes to rest at the end of the way, however near the end of the slot is to that.
             speed = min(
                 slowly, *(reachable_speed(0.0, s, bounds) for s in (out, path.length - out))
             )
             segments = (Segment(out, speed, slowly), Segment(path.length, 0.0, bounds.speed))
-        sim.follow(path, bounds, "lift", watches, segments)
+        self.follow(path, bounds, "lift", guards, segments)
 
     def draw(self, joints: np.ndarray, way: float) -> None:
         """Draw what is held out to the side from between others, along joints float64[k, n] [rad],
@@ -223,30 +333,32 @@ class Execution:
         it would lift it against what is above."""
         path, bounds = self.gently(joints)
         slowly = (Segment(path.length, 0.0, min(SLOT_SPEED * path.length / way, bounds.speed)),)
-        self.sim.follow(path, bounds, "lift", (NEAR,), slowly)
+        self.follow(path, bounds, "lift", (NEAR,), slowly)
 
     def close(self) -> None:
-        """Close the fingers until they press."""
-        sim, gripper = self.sim, self.sim.arm.gripper
-        pressing = self.order.held - gripper.force / gripper.stiffness
-        enough = GRIPPED * gripper.force
-        sim.squeeze(_ramp(sim.width, pressing, gripper.speed), "pick", NEAR)
-        watch = NEAR._replace(until=lambda: self.grip() >= enough)
-        if not sim.wait(_steps(GRIP_TIME), "pick", watch):
-            detail = f"the fingers press with {self.grip():.1f} N at {1e3 * sim.opening:.0f} mm"
+        """Close the fingers until they press, or make the vacuum."""
+        arm, name = self.rig.arm, self.order.names[self.order.target]
+        if arm.suction is not None:
+            told, seconds = ToolCommand(vacuum=True), arm.suction.grip_time
+        else:
+            gripper = arm.gripper
+            told = ToolCommand(width=self.order.held, force=gripper.force, speed=gripper.speed)
+            way = self.order.opening - self.order.held + gripper.force / gripper.stiffness
+            seconds = way / gripper.speed
+        self.closed = True
+        report = self.wait(seconds + GRIP_TIME, "pick", CLOSING, (told,))
+        if report.stop != Stop.HELD:
+            detail, felt = f"the cup does not close on {name}", report.tool
+            if felt.width is not None:
+                grip, width = felt.grip or 0.0, 1e3 * felt.width
+                detail = f"the fingers press with {grip:.1f} N at {width:.0f} mm"
             raise Failure(Outcome.GRASP_LOST, "pick", detail)
+        self.rig.senses.taken()
 
-    def suck(self, cup: Vacuum) -> None:
-        """Turn the vacuum on, and wait until it holds."""
-        sim, target = self.sim, self.order.target
-        name = self.order.names[target]
-        watch = NEAR._replace(until=lambda: cup.held is not None)
-        count = _steps(cup.suction.grip_time + GRIP_TIME)
-        if not sim.squeeze(np.ones(count), "pick", watch):
-            raise Failure(Outcome.GRASP_LOST, "pick", f"the cup does not close on {name}")
-        if cup.held != target:
-            other = self.order.names[cup.held or 0]
-            raise Failure(Outcome.GRASP_LOST, "pick", f"the cup closes on {other}, not on {name}")
+    def mass(self) -> float:
+        """Of the object, as it is meant to be [kg]."""
+        scene, move = self.order.scene, self.order.move
+        return float(scene.mass(scene.members(move.cell)).sum())
 
     def slot(self) -> float:
         """Height of the object, which it may slide along others [m], where it was or shall be."""
@@ -259,26 +371,24 @@ class Execution:
             heights.append(float(high[:, 2].max() - low[:, 2].min()))
         return max(heights) + LOOSE
 
-    def grip(self) -> float:
-        """What the weaker finger presses with [N]."""
-        return self.sim.contacts.grip(self.sim.arm.gripper.pads)
-
     def gently(self, joints: np.ndarray) -> tuple[JointPath, PathLimits]:
         """A path of the loaded hand through joint positions float64[k, n] [rad], and how fast: as
         fast as the limits allow, with a cup slower where what hangs from it would load it by more
         than :data:`GENTLE`."""
-        sim, limits = self.sim, self.loaded
-        if sim.cup is None or sim.cup.held is None:
+        rig, limits = self.rig, self.rig.loaded
+        suction, world = rig.arm.suction, rig.world
+        if suction is None or world is None or not self.holding:
             path = joint_path(joints, limits)
             return path, limits_along(path, limits)
         limits = limits._replace(jerk=np.minimum(limits.jerk, limits.acceleration / RAMP_TIME))
         path = joint_path(joints, limits)
         bounds = limits_along(path, limits)
-        load = hanging(sim.world, sim.data, sim.cup.held)
-        chain = get_chain(sim.arm)
+        load = hanging(world, self.order.target, *rig.senses.in_hand())
+        lip, chain = self.course.plan.move.grasp.lip, get_chain(rig.arm)
+        cup = next(one for one in suction.cups if one.lip == lip)
         for _ in range(MOST_SLOWER):
             run = motion(path, bounds, PERIOD)
-            peak = max(peak_load(sim.cup.used, chain, load, run.position, PERIOD))
+            peak = max(peak_load(cup, chain, load, run.position, PERIOD))
             if peak <= GENTLE:
                 break
             limits = limits.scaled(max(0.9 * math.sqrt(GENTLE / peak), 0.5))
@@ -286,24 +396,28 @@ class Execution:
             bounds = limits_along(path, limits)
         return path, bounds
 
-    def carry(self, way: np.ndarray, watch: Watch = LOADED) -> None:
+    def carry(self, way: np.ndarray, guard: Guard = LOADED) -> None:
         """Across, along straight lines of the joints."""
         self.inside = None
         for start, end in pairwise(way):
             path, bounds = self.gently(np.array([start, end]))
-            self.sim.follow(path, bounds, "cross", (watch,))
+            self.follow(path, bounds, "cross", (guard,))
             self.segments_done += 1
 
     def corrected(self) -> tuple[ApproachPath, ApproachPath]:
         """The approach path over the target for the hand that holds the object as it does, and
         the one by which the hand leaves."""
-        sim, plan, order = self.sim, self.course.plan, self.order
-        position, rotation = sim.tool()
-        cell = order.objects.cells(sim.poses)[0][order.move.cell]
+        rig, plan, order = self.rig, self.course.plan, self.order
+        rig.senses.look()
+        where, now = rig.senses.in_hand()
+        if float(np.linalg.norm(where - order.in_hand(plan.move.grasp)[0])) > ELSEWHERE:
+            rig.senses.lost()
+            detail = f"{order.names[order.target]} is not in the hand"
+            raise Failure(Outcome.GRASP_LOST, "cross", detail)
+        cell = where + now @ order.objects.offset[order.move.cell]
         place, target = plan.move.place, order.move.target
-        if sim.cup is not None:
+        if rig.arm.suction is not None:
             # Turned by as much as the object is turned in the hand; pads straighten what they hold.
-            now = rotation.T @ rotation_matrix(sim.poses[sim.target, 3:])
             if place.tilt:
                 # The weight of what hangs aside leans it, too.
                 goal = order.in_world(plan.move.grasp, place)[1]
@@ -312,18 +426,18 @@ class Execution:
             else:
                 off = now @ order.in_hand(plan.move.grasp)[1].T
                 place = place.spun(math.atan2(off[1, 0] - off[0, 1], off[0, 0] + off[1, 1]))
-        tool = target - place.rotation() @ rotation.T @ (cell - position)
+        tool = target - place.rotation() @ cell
         centre = tool + target - place.tool_point(target)
         poses = tool_path(centre, place, plan.height, upwards=True)
-        found = approach_path(sim.arm, poses, self.order.below, plan.place.joints[0])
+        found = approach_path(rig.arm, poses, order.below, plan.place.joints[0])
         if isinstance(found, str):
             raise Failure(Outcome.UNREACHABLE, "place", found)
-        leave = leaving(sim.arm, centre, place, plan.height, found)
+        leave = leaving(rig.arm, centre, place, plan.height, found)
         if isinstance(leave, str):
             raise Failure(Outcome.UNREACHABLE, "place", leave)
         return found, leave
 
-    def lower(self, approach: ApproachPath, stage: str, before: Watch, near: Watch) -> None:
+    def lower(self, approach: ApproachPath, stage: str, before: Guard, near: Guard) -> None:
         """Down, the last part slowly, until the object rests or the path ends.
 
         Args:
@@ -332,115 +446,85 @@ class Execution:
             before: what is looked for on the way ...
             near: ... and within :data:`LOOSE` of the place.
         """
-        sim, self.inside = self.sim, approach
-        now = _nearest(approach, sim.joints)
-        path, bounds = self.gently(np.vstack([sim.joints, approach.joints[:now][::-1]]))
+        self.inside = approach
+        now = _nearest(approach, self.joints)
+        path, bounds = self.gently(np.vstack([self.joints, approach.joints[:now][::-1]]))
         rise = approach.rise[: now + 1][::-1]
         zones = [(CAREFUL, CAREFUL_SPEED), (SOFT, SOFT_SPEED)]
         if self.order.scene.half is not None:
             zones = sorted([*zones, (min(self.slot() + SOFT, rise[0]), SLOT_SPEED)], reverse=True)
-        if sim.clutch is not None and sim.clutch.wanted:
+        if self.rig.guarded:
+            zones.append((LOOSE, GUARDED_SPEED))
+        press = self.press() if before is LOADED else 0.0
+        if press:
             zones.append((PRESS_NEAR, PRESS_SPEED))
         segments = approach_speed_limits(path, rise, tuple(zones), bounds)
         loose = float(np.interp(-LOOSE, -rise, path.knots))
-        until = near._replace(start=loose, until=self.rests)
-        watches = (before, until)
+        until = near._replace(begin=loose, contact=press or LANDED, bears=press > 0)
+        if self.rig.guarded:
+            until = until._replace(held=PRESSED + press)
+        guards = (before, until)
         if self.order.scene.half is not None and before is LOADED:
             # Between others it slides into a slot.
             begin = float(np.interp(-self.slot(), -rise, path.knots))
-            watches = (before, BESIDE._replace(start=begin), until)
+            guards = (before, BESIDE._replace(begin=begin), until)
         self.landed = False
-        self.landed = sim.follow(path, bounds, stage, watches, segments)
+        self.landed = self.follow(path, bounds, stage, guards, segments).stop == Stop.CONTACT
 
-    def rests(self) -> bool:
-        """Whether what is held rests on something; where it has studs to meet, once it has been
-        pressed with the force that brings it home."""
-        clutch, force = self.sim.clutch, self.sim.contacts.support()
-        if clutch is None or not clutch.wanted:
-            return force >= LANDED
-        self.pressed = max(self.pressed, force)
-        self.bear(force)
-        if force < clutch.press:
-            return False
-        clutch.join()
-        return True
+    def press(self) -> float:
+        """With which what is held has to be pressed home on studs [N]; 0: there are none."""
+        studs, move = self.order.scene.studs, self.order.move
+        if studs is None:
+            return 0.0
+        own = set(self.order.scene.members(move.cell).tolist())
+        wanted = any(
+            not joint.home and (joint.upper in own) != (joint.lower in own)
+            for joint in studs.joints
+        )
+        return studs.press if wanted else 0.0
 
-    def bear(self, force: float) -> None:
-        """The controller bears most of what the hand pushes with [N], so that the arm hardly gives
-        way: it would turn what it holds."""
-        drives = self.sim.drives
-        drives.push += BORNE_RATE * (BORNE * max(force, 0.0) - drives.push)
-
-    def ease(self, watch: Watch) -> None:
-        """After a press, stay where the arm is: step by step its drives are told the joints that
-        they have, until the hand pushes and turns what it holds no more."""
-        sim, clutch = self.sim, self.sim.clutch
-        if clutch is None or clutch.loose or not clutch.wanted:
-            return
-        for _ in range(EASES):
-            there = sim.data.qpos[sim.world.joint].copy()
-            sim.drives.push *= 1 - EASED
-            sim.stay(sim.joints + EASED * (there - sim.joints), BLOCK, "place", watch)
-        sim.drives.push = 0.0
-
-    def check_home(self) -> None:
-        """Refuse a brick that is not home at the end.
-
-        Raises:
-            Failure: TOPPLED.
-        """
-        clutch = self.sim.clutch
-        if clutch is not None and clutch.loose:
-            name = self.order.names[self.order.target]
-            words = f"pressed with {self.pressed:.1f} N of {clutch.press:g} N"
-            raise Failure(Outcome.TOPPLED, "rest", f"{name} is loose on its studs, {words}")
-
-    def release(self, stage: str, watch: Watch) -> None:
+    def release(self, stage: str, guard: Guard) -> None:
         """Open no further than needed; with a cup, turn the vacuum off and wait."""
-        sim = self.sim
-        sim.load(0.0, _steps(LOAD_TIME), stage, watch)
-        sim.let_go()
-        self.holding = False
-        if sim.cup is not None:
-            widths = np.zeros(_steps(sim.cup.suction.release_time) + 1)
+        self.wait(LOAD_TIME, stage, guard, (ToolCommand(load=0.0),))
+        arm = self.rig.arm
+        self.holding = self.closed = False
+        if arm.suction is not None:
+            told, seconds = ToolCommand(vacuum=False), arm.suction.release_time + TIMESTEP
         else:
-            widths = _ramp(sim.width, self.order.opening, sim.arm.gripper.speed)
-        if sim.clutch is not None:
-            sim.clutch.take()
-        sim.squeeze(widths, stage, watch)
-        if sim.clutch is not None:
-            sim.clutch.draw()
+            gripper, order = arm.gripper, self.order
+            told = ToolCommand(width=order.opening, speed=gripper.speed)
+            way = order.opening - order.held + gripper.force / gripper.stiffness
+            seconds = way / gripper.speed
+        self.wait(seconds, stage, guard, (told,))
+        self.rig.senses.let_go()
 
-    def rise(self, stage: str, watch: Watch) -> None:
+    def rise(self, stage: str, guard: Guard) -> None:
         """Up from wherever the hand is on an approach path; it may travel then."""
         approach = self.inside
         if approach is None:
             return
-        sim, limits = self.sim, self.loaded if self.holding else self.limits
-        above = approach.joints[_nearest(approach, sim.joints) + 1 :]
-        path = joint_path(np.vstack([sim.joints, above]), limits)
-        sim.follow(path, limits_along(path, limits), stage, (watch,))
+        limits = self.rig.loaded if self.holding else self.rig.limits
+        above = approach.joints[_nearest(approach, self.joints) + 1 :]
+        path = joint_path(np.vstack([self.joints, above]), limits)
+        self.follow(path, limits_along(path, limits), stage, (guard,))
         self.inside = None
+
+
+def told(run: Motion, report: Report) -> Played:
+    """What a plant that does not say how a motion went was told, as far as it came."""
+    count = max(1, round(report.seconds * RATE))
+    at = report.done * run.seconds * np.arange(1, count + 1) / count
+    joints, velocity = run.at(at)
+    nothing = np.zeros(count)
+    return Played(at, joints, velocity, nothing, nothing)
 
 
 def _nearest(approach: ApproachPath, joints: np.ndarray) -> int:
     return int(np.argmin(np.abs(approach.joints - joints).max(1)))
 
 
-def _steps(time: float) -> int:
-    return round(time / TIMESTEP)
-
-
-def _ramp(start: float, end: float, speed: float) -> np.ndarray:
-    """Openings [m], one per step, from one to another at a speed [m/s]."""
-    count = max(1, int(np.ceil(abs(end - start) / (speed * TIMESTEP))))
-    return start + (end - start) * np.arange(1, count + 1) / count
-
-
 BACK_STRIDE = 25
 """Samples between the corners of a way back."""
-HOLDS = 0.5
-"""Both fingers press what is in the hand with this much at least [N]: half a block's weight."""
 
 
 def abandon(run: Execution, failure: Failure, recover: bool) -> Failure:
@@ -454,144 +538,71 @@ def abandon(run: Execution, failure: Failure, recover: bool) -> Failure:
     Returns:
         the failure, with a word on what became of what was held.
     """
-    sim = run.sim
-    sim.let_go()
-    _settle(run)
+    _settle(run, failure.stage)
     words = ""
     if recover and failure.stage != "rest":
         words = "the arm is home"
         try:
             if run.holding:
-                sim.hold()
                 _put_back(run)
                 words = "put back"
             _leave(run)
         except Failure as second:
             words = f"then {second.stage}: {second.detail}"
-            sim.let_go()
-        _settle(run)
+        _settle(run, "home")
     words = "still in the hand" if run.holding else words
     detail = f"{failure.detail}; {words}" if words else failure.detail
     return Failure(failure.outcome, failure.stage, detail)
 
 
-def _settle(run: Execution) -> None:
-    """Wait until everything rests but what both fingers hold, whatever was meant."""
-    sim = run.sim
+HOLDS = 0.5
+"""Both fingers press what is in the hand with this much at least [N]: half a block's weight."""
 
-    def in_hand() -> bool:
-        if sim.cup is not None:
-            return sim.cup.held == sim.target
-        return sim.width < run.order.held and run.grip() >= HOLDS
 
-    watch = BLIND._replace(until=lambda: sim.asleep(besides=in_hand()))
-    sim.wait(round(REST_TIME / TIMESTEP), sim.stage, watch)
-    run.holding = in_hand()
-    if not run.holding:
-        sim.load(0.0, round(LOAD_TIME / TIMESTEP), sim.stage, BLIND)
+def _settle(run: Execution, stage: str) -> None:
+    """Wait until everything rests but what is in the hand, whatever was meant."""
+    run.rig.senses.settle(stage if stage in STAGES else "home")
+    felt, held = run.rig.plant.sense().tool, run.holding
+    if felt.vacuum is not None:
+        run.holding = felt.vacuum
+    else:
+        run.holding = run.closed and (felt.grip or 0.0) >= HOLDS
+    if held and not run.holding:
+        run.rig.senses.lost()
+        run.wait(LOAD_TIME, "release", BLIND, (ToolCommand(load=0.0),))
 
 
 def _put_back(run: Execution) -> None:
     """The way here backwards, and down where the object came from."""
     pick, across = run.course.plan.pick, run.course.across
+    kept = Guard(hold="kept")
     if run.inside is not pick:
-        run.rise("place", BLIND)
-        run.carry(np.vstack([run.sim.joints, across[: run.segments_done + 1][-2::-1]]), BLIND)
-    run.lower(pick, "place", BLIND, BLIND)
+        run.rise("place", kept)
+        run.carry(np.vstack([run.joints, across[: run.segments_done + 1][-2::-1]]), kept)
+    run.lower(pick, "place", kept, kept)
     run.release("release", BLIND)
 
 
 def _leave(run: Execution) -> None:
     """Up, and home if there is a free way."""
-    sim = run.sim
+    rig = run.rig
     run.rise("retreat", BLIND)
-    checker = WorldChecker(sim.arm, sim.world, sim.poses.copy(), run.order.names)
+    if rig.world is None:
+        run.travel(np.array([run.joints, rig.arm.home]), "home", BLIND)
+        return
+    checker = WorldChecker(rig.arm, rig.world, rig.senses.look(), run.order.names)
     checker.empty(run.order.opening)
-    if checker.check(sim.joints) is not None:
+    if checker.check(run.joints) is not None:
         _back_off(run, checker)
-    run.travel(free_way(checker, sim.joints, rest_pose(sim.arm, checker), "home"), "home", BLIND)
+    run.travel(free_way(checker, run.joints, rest_pose(rig.arm, checker), "home"), "home", BLIND)
 
 
 def _back_off(run: Execution, checker: WorldChecker) -> None:
     """Back the way the arm has come, to where it last touched nothing, if it ever did."""
-    past = run.sim.past()[::-1]
+    past = np.vstack([run.joints[None], *(played.joints for _, played in run.log)])[::-1]
     free = next((k for k, joints in enumerate(past) if checker.check(joints) is None), None)
     if free is None:
         return
     way = past[: free + 1]
     corners = np.unique(np.r_[0:free:BACK_STRIDE, free])
-    run.travel(np.vstack([run.sim.joints, way[corners][1:]]), "retreat", BLIND)
-
-
-PLACE_LIMIT = 0.01
-"""The object was dropped when a cell ends so far from where it was ordered [m]."""
-HEIGHT_LIMIT = 1e-3
-"""Cells of an object keep their heights, relative to each other [m]."""
-TILT_LIMIT = 0.05
-"""An object that leans more [rad] has tipped."""
-STILL = 0.02
-"""An object that is faster at the end keeps moving [m/s]."""
-
-
-class ShiftRule(NamedTuple):
-    """How far other blocks may be moved, waiting ones included."""
-
-    limit: float = 0.01
-    """[m]"""
-    axes: int = 2
-    """2: in x and y; 3: in space."""
-
-
-ONE_SIDED = ShiftRule(0.035, 3)
-"""The rule of the one-sided cell."""
-
-
-def check_rest(
-    order: Order, poses: np.ndarray, speed: float, landed: bool, rule: ShiftRule
-) -> None:
-    """Look at how things are after a motion that went as planned.
-
-    Args:
-        order: what was asked.
-        poses: float64[b, 7] of the objects now.
-        speed: of the moved object [m/s].
-        landed: whether it rested on something before the hand let go of it.
-        rule: for the others.
-
-    Raises:
-        Failure: DISTURBED_STRUCTURE where another block was moved; DROPPED where the object ended
-            elsewhere, TOPPLED where it tipped or has not come to rest. An object that rested and
-            then tipped over is TOPPLED wherever it lies, one that was let go in the air DROPPED.
-    """
-    position, quaternion, _ = order.objects.cells(poses)
-    shift = np.linalg.norm((position - order.scene.position)[:, : rule.axes], axis=1)
-    shift[order.objects.owner == order.target] = 0.0
-    if not shift.max() < rule.limit:
-        k = int(np.argmax(shift))
-        detail = f"block {k} was moved by {1e3 * shift[k]:.0f} mm"
-        raise Failure(Outcome.DISTURBED_STRUCTURE, "rest", detail)
-    members = order.scene.members(order.move.cell)
-    ordered, turned = carried(order.scene, order.move, members)
-    sunk = position[members, 2] - ordered[:, 2]
-    cell = order.move.cell
-    lean = _lean(
-        turned[0] if order.scene.half is not None else order.quaternion[cell], quaternion[cell]
-    )
-    tipped = np.ptp(sunk) > HEIGHT_LIMIT or lean > TILT_LIMIT
-    missed = np.linalg.norm(position[members] - ordered, axis=1).max()
-    name = order.names[order.target]
-    if not missed <= PLACE_LIMIT and not (tipped and landed):
-        detail = f"{name} ended {1e3 * missed:.0f} mm from its place"
-        raise Failure(Outcome.DROPPED, "rest", detail)
-    if tipped:
-        detail = f"{name} leans by {np.degrees(lean):.1f} degrees"
-        raise Failure(Outcome.TOPPLED, "rest", detail)
-    if speed > STILL:
-        raise Failure(Outcome.TOPPLED, "rest", f"{name} still moves at {speed:.2f} m/s")
-
-
-def _lean(before: np.ndarray, after: np.ndarray) -> float:
-    """Angle [rad] by which a body with quaternions before and after has turned off the vertical."""
-    return float(
-        np.arccos(np.clip(rotation_matrix(before)[2] @ rotation_matrix(after)[2], -1.0, 1.0))
-    )
+    run.travel(np.vstack([run.joints, way[corners][1:]]), "retreat", BLIND)

@@ -223,6 +223,25 @@ def free_cells(scene: Scene, quaternion: np.ndarray, move: Move) -> np.ndarray:
     there, turns = carried(scene, move, members)
     goal = scene.rows(members, 0)._replace(position=there, quaternion=turns)
     boxes = [*zip(low[members], high[members], strict=True), *zip(*goal.bounds(), strict=True)]
+    return concerned(scene, members, boxes, np.vstack([there, scene.position[members]]))
+
+
+def concerned(
+    scene: Scene,
+    members: np.ndarray,
+    boxes: list[tuple[np.ndarray, np.ndarray]],
+    ends: np.ndarray,
+) -> np.ndarray:
+    """bool[n]: cells of the objects that are free to move: those of ``members``, those near to a
+    box, and what rests on them.
+
+    Args:
+        scene: with the orientations of its cells.
+        members: int64[m] of its cells.
+        boxes: lowest and highest coordinates float64[3] of each [m].
+        ends: float64[k, 3]: where there are too many, those nearest to these places are [m].
+    """
+    low, high = scene.bounds()
     _, number = np.unique(scene.object_id, return_inverse=True)
     if scene.density is not None:
         # Obstacles are near nothing and rest on nothing.
@@ -253,7 +272,6 @@ def free_cells(scene: Scene, quaternion: np.ndarray, move: Move) -> np.ndarray:
         found[number[more]] = True
     if found.sum() > MOST_FREE:
         distance = np.full(len(found), np.inf)
-        ends = np.vstack([there, scene.position[members]])
         apart = np.linalg.norm(scene.position[:, None] - ends, axis=2).min(1)
         np.minimum.at(distance, number, apart)
         distance[number[members]] = -1.0
@@ -344,12 +362,13 @@ def compile_world(
             type=mujoco.mjtEq.mjEQ_WELD,
             objtype=mujoco.mjtObj.mjOBJ_BODY,
             name1=arm.gripper.hand,
-            name2="object0",
+            name2="object0" if shape else "",
             active=False,
             solref=_CUP_REF,
             solimp=_CUP_IMP,
         )
         weld.data[:] = 0.0
+    num_welds = num_welds if shape else 0
     if num_welds:
         _add_welds(spec, num_welds, "object0")
     plan = spec.compile()
@@ -416,7 +435,8 @@ def _world(
     num_still: int,
 ) -> SimulatedWorld:
     body, count = model.geom_bodyid, len(shape)
-    first = model.body("object0").id if count else model.nbody
+    lowest = "object0" if count else "still0" if num_still else None
+    first = model.nbody if lowest is None else model.body(lowest).id
     kind = np.where(body >= first, body - first, ARM)
     kind[model.geom("table").id] = TABLE
     kind[[model.geom(name).id for name in arm.gripper.pads]] = PAD  # none for a cup

@@ -408,7 +408,7 @@ def _plan(arm: Arm, checker: WorldChecker, order: Order) -> Approaches:
     for move in (given, *others):
         centre = order.scene.position[move.cell]
         checker.empty(order.opening)
-        over = tool_path(centre, move.grasp, height)
+        over = tool_path(centre, move.grasp, height, move.grasp.straight)
         pick = _choose(checker, approach_paths(arm, over, PRESS), order.target)
         if isinstance(pick, str):
             reasons.append(Failure(Outcome.UNREACHABLE, "pick", pick))
@@ -481,7 +481,8 @@ def _raised(arm: Arm, order: Order, plan: Approaches, levels: int) -> Approaches
     """The plan on the same branches, crossing some levels higher."""
     height, move = plan.height + levels * LEVEL, plan.move
     centre = order.scene.position[move.cell]
-    pick = approach_path(arm, tool_path(centre, move.grasp, height), PRESS, plan.pick.joints[0])
+    over = tool_path(centre, move.grasp, height, move.grasp.straight)
+    pick = approach_path(arm, over, PRESS, plan.pick.joints[0])
     over = tool_path(move.target, move.place, height, upwards=True)
     place = approach_path(arm, over, order.below, plan.place.joints[0])
     if isinstance(pick, str) or isinstance(place, str):

@@ -14,8 +14,8 @@ from numba import njit
 
 from learn2assemble.errors import Learn2AssembleError
 from learn2assemble.geometry.rotations import rotate_vectors
+from learn2assemble.motion.plant import Played
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.joint_path import JointPath
 from learn2assemble.robot.moves import STAGES, Outcome, Trajectory
 from learn2assemble.simulation.clutch import Clutch
 from learn2assemble.simulation.cup import Vacuum
@@ -29,12 +29,7 @@ from learn2assemble.simulation.model import (
     SimulatedWorld,
 )
 from learn2assemble.simulation.trajectory import (
-    PathLimits,
     PathSamples,
-    Segment,
-    limits_along,
-    motion,
-    stop,
 )
 
 TOUCH = 0.5
@@ -82,6 +77,10 @@ class Watch(NamedTuple):
     """Brake as soon as this is so."""
 
 
+BLIND = Watch(Rules(None, None, None))
+"""Nothing is looked for."""
+
+
 class SimulatedContacts:
     """The contacts of a simulation as they matter when one object is moved.
 
@@ -99,12 +98,17 @@ class SimulatedContacts:
         self.along: np.ndarray | None = None
         """float64[3]: unit vector along which the target comes to its place; what it slides along
         does not count as its support. None: everything does."""
+        self._wrench = np.empty(6)
+        self.aim(target)
+
+    def aim(self, target: int) -> None:
+        """From now on it is this object that is moved; -9: none."""
+        kind = self.world.kind
         self._class = np.select(
-            [world.kind == TABLE, world.kind == ARM, world.kind == PAD, world.kind == target],
+            [kind == TABLE, kind == ARM, kind == PAD, kind == target],
             [_TABLE, _ARM, _PAD, _TARGET],
             _OTHER,
         )
-        self._wrench = np.empty(6)
 
     def collision(self, thresholds: np.ndarray) -> str | None:
         """The first collision in words, by thresholds of :meth:`Rules.thresholds`, or None."""
@@ -143,6 +147,20 @@ class SimulatedContacts:
                     share = abs(float(self.data.contact.frame[k, :3] @ self.along))
                 if share >= SLIDES:
                     total += share * self.force(k)
+        return total
+
+    def pressure(self) -> np.ndarray:
+        """float64[3]: what the target gets from everything but the hand; without a target what the
+        arm gets from everything but itself; world frame [N]."""
+        total, frame = np.zeros(3), self.data.contact.frame if self.data.ncon else ()
+        mine = (_TARGET,) if (self._class == _TARGET).any() else (_ARM, _PAD)
+        for k, (a, b) in enumerate(self._class[self._pairs()].tolist()):
+            if (a in mine) == (b in mine) or {a, b} & {_ARM, _PAD} - set(mine):
+                continue
+            mujoco.mj_contactForce(self.world.model, self.data, k, self._wrench)
+            # The frame's normal points from the first geom to the second.
+            push = self._wrench[:3] @ frame[k].reshape(3, 3)
+            total += push if b in mine else -push
         return total
 
     def force(self, contact: int) -> float:
@@ -272,6 +290,8 @@ def diverged(
 
 SLIP = 0.01
 """What is held has been lost when it has moved so far in the hand [m]."""
+HOLDS = 0.5
+"""Both fingers press what is in the hand with this much at least [N]: half a block's weight."""
 BLOCK = 10
 """Steps whose commands are computed at once; also between two looks at what need not be seen
 at once."""
@@ -284,6 +304,9 @@ class Trace(NamedTuple):
     """Steps of 2 ms between samples of the trajectory."""
     dump: Path | None = None
     """Folder for model and state should the simulation diverge; a new one by default."""
+    begun: int = 0
+    """Steps that are over already, where another simulation went before, which has taken the sample
+    of its end."""
 
 
 class Simulation:
@@ -298,8 +321,7 @@ class Simulation:
         joints: float64[n] the arm begins with [rad].
         width: opening the gripper begins with [m]; for a suction tool whether the vacuum is on,
             also wherever openings are told.
-        sample_steps: steps between samples of the recording.
-        dump: folder for model and state should the simulation diverge; a new one by default.
+        trace: what it leaves.
     """
 
     def __init__(
@@ -323,14 +345,18 @@ class Simulation:
         self.put_arm(joints)
         self.drives = Drives(arm, world, self.data)
         self.contacts = SimulatedContacts(world, self.data, names, target)
-        self.stage, self.steps = "approach", 0
+        self.stage, self.steps = "approach", trace.begun
         self._samples: list[tuple[Any, ...]] = []
         self.joints, self.velocity, self.width = joints.copy(), np.zeros_like(joints), width
         self.cup = None if arm.suction is None else Vacuum(arm.suction, world, self.data)
         self.clutch: Clutch | None = None
         """The joints of studs, where there are some."""
+        self.feels_slip = True
+        """Whether it is known at once when what is held moves between the pads; else only when
+        they press no more."""
         self._grip: np.ndarray | None = None
-        self._record()
+        if not trace.begun:
+            self._record()
 
     @property
     def time(self) -> float:
@@ -378,37 +404,6 @@ class Simulation:
 
     # ------------------------------------------------------------ motion
 
-    def follow(
-        self,
-        path: JointPath,
-        bounds: PathLimits,
-        stage: str,
-        watches: tuple[Watch, ...],
-        segments: tuple[Segment, ...] = (),
-    ) -> bool:
-        """Move along a path; brakes at a collision, a loss, or where a watch says so.
-
-        Returns:
-            whether a watch ended it; this and all motions below.
-
-        Raises:
-            Failure: for a collision or a loss; this and all motions below.
-        """
-        self.stage = stage
-        run = motion(path, bounds, TIMESTEP, segments)
-        begins = np.searchsorted(run.progress[:, 0], [w.start for w in watches]).tolist()
-        for watch, begin, end in zip(
-            watches, begins, [*begins[1:], len(run.progress)], strict=True
-        ):
-            ended, k = self._play(run, begin, end, watch)
-            if ended is not None:
-                s, rate, change = run.progress[k]
-                brake = limits_along(path, self.arm.bounds)
-                rest = stop(path, brake, TIMESTEP, (s, rate, change))
-                self._play(rest, 0, len(rest.progress), Watch(Rules(None)))
-                return self._judge(ended)
-        return False
-
     def run(
         self,
         run: PathSamples,
@@ -420,50 +415,41 @@ class Simulation:
         """Follow samples one step apart, with openings of the gripper float64[k] [m] and, if
         given, payloads float64[k] [kg]."""
         self.stage = stage
-        return self._judge(self._play(run, 0, len(widths), watch, widths, payloads)[0])
+        return self._judge(self.play(run, 0, len(widths), watch, widths, payloads)[0])
 
-    def squeeze(
-        self, widths: np.ndarray, stage: str, watch: Watch, payloads: np.ndarray | None = None
-    ) -> bool:
-        """Stand still while the gripper is told one opening [m] (and payload [kg]) after the
-        other, a step each."""
+    def squeeze(self, widths: np.ndarray, stage: str, watch: Watch) -> bool:
+        """Stand still while the tool is told one opening [m] after the other, a step each."""
         still = np.zeros((2, len(widths), len(self.joints)))
         there = np.tile(self.joints, (len(widths), 1))
         run = PathSamples(np.zeros((len(widths), 3)), there, *still)
-        return self.run(run, widths, stage, watch, payloads)
-
-    def stay(self, joints: np.ndarray, steps: int, stage: str, watch: Watch) -> bool:
-        """Be told other joints float64[n] that are near [rad], for a number of steps."""
-        still = np.zeros((2, steps, len(joints)))
-        run = PathSamples(np.zeros((steps, 3)), np.tile(joints, (steps, 1)), *still)
-        return self.run(run, np.full(steps, self.width), stage, watch)
-
-    def load(self, payload: float, steps: int, stage: str, watch: Watch) -> bool:
-        """Tell the controller of another payload [kg], little by little in a number of steps."""
-        change = np.linspace(self.drives.payload, payload, steps + 1)[1:]
-        return self.squeeze(np.full(steps, self.width), stage, watch, change)
+        return self.run(run, widths, stage, watch)
 
     def wait(self, steps: int, stage: str, watch: Watch) -> bool:
         """Stand still for a number of steps, or until the watch ends it."""
         return self.squeeze(np.full(steps, self.width), stage, watch)
 
-    def skip(self, path: JointPath, bounds: PathLimits, stage: str) -> None:
+    def skip(self, run: PathSamples) -> None:
         """Let the time of a motion pass for the arm alone: the objects rest and it meets none."""
-        self.stage = stage
-        run = motion(path, bounds, TIMESTEP)
         for position, velocity in zip(run.position, run.velocity, strict=True):
             self._count(position, velocity)
-        self.put_arm(path.joints[-1])
+        self.put_arm(run.position[-1])
 
-    def hold(self) -> None:
-        """From now on the target must stay where it is in the hand."""
-        self._grip = self.in_hand()
+    def aim(self, target: int) -> None:
+        """From now on it is this object that is moved; -9: none."""
+        if target != self.target:
+            self.target = target
+            self.contacts.aim(target)
+
+    def hold(self, place: np.ndarray | None = None) -> None:
+        """From now on the target must stay where it is in the hand, or at a place in it, float64[3]
+        in the tool frame [m]."""
+        self._grip = self.in_hand() if place is None else place
 
     def let_go(self) -> None:
         """The target may leave the hand."""
         self._grip = None
 
-    def _play(
+    def play(
         self,
         run: PathSamples,
         begin: int,
@@ -508,12 +494,16 @@ class Simulation:
                 grasping = self.stage in ("approach", "pick", "lift")
                 touch = Outcome.GRASP_COLLISION if grasping else Outcome.PLACE_COLLISION
                 return Failure(touch, self.stage, hit)
-        lost, name = "", self.contacts.names[self.target]
+        lost = ""
+        name = self.contacts.names[self.target] if self._grip is not None else ""
         if self.cup is not None and self._grip is not None and self.cup.held != self.target:
             lost = f"{name} {self.cup.lost}"
         elif self._grip is not None and self.steps % BLOCK == 0:
-            moved = np.linalg.norm(self.in_hand() - self._grip)
-            lost = f"{name} moved by {1e3 * moved:.0f} mm in the hand" if moved > SLIP else ""
+            if self.feels_slip:
+                moved = np.linalg.norm(self.in_hand() - self._grip)
+                lost = f"{name} moved by {1e3 * moved:.0f} mm in the hand" if moved > SLIP else ""
+            elif self.cup is None and self.contacts.grip(self.arm.gripper.pads) < HOLDS:
+                lost = "the fingers hold nothing any more"
         if lost:
             return Failure(Outcome.GRASP_LOST, self.stage, lost)
         return True if until is not None and until() else None
@@ -548,9 +538,24 @@ class Simulation:
             )
         )
 
-    def past(self) -> np.ndarray:
-        """float64[T, n]: joint positions so far [rad]."""
-        return np.array([sample[1] for sample in self._samples])
+    def samples(self) -> int:
+        """How many there are."""
+        return len(self._samples)
+
+    def played(self, first: int) -> Played:
+        """Samples from number ``first`` on."""
+        n, some = len(self.joints), self._samples[first:]
+        if not some:
+            none = np.empty((0, n))
+            return Played(np.empty(0), none, none, np.empty(0), np.empty(0))
+        time, joints, velocity, width, command = map(
+            np.array, zip(*(s[:5] for s in some), strict=True)
+        )
+        return Played(time, joints, velocity, width, command)
+
+    def forget(self) -> None:
+        """Drop the samples there are."""
+        self._samples.clear()
 
     def trajectory(self, objects: Objects) -> Trajectory:
         """All samples, with the poses of the cells of ``objects``."""
@@ -564,5 +569,5 @@ class Simulation:
         """Stops a simulation that diverged, with everything needed to look into it."""
         d = self.data
         if not (np.isfinite(d.qpos).all() and np.isfinite(d.qvel).all()):
-            began = self._samples[0][-1]
+            began = self._samples[0][-1] if self._samples else self.poses
             raise diverged(self.world, d, self.time, self.trace.dump, began=began, stage=self.stage)

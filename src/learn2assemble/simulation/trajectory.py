@@ -118,24 +118,13 @@ def motion(
     return _sample(path, found, step)
 
 
-def stop(
-    path: JointPath, bounds: PathLimits, step: float, start: tuple[float, float, float]
-) -> PathSamples:
-    """Come to rest on the path as soon as possible; ``start`` is s with two derivatives, now."""
-    return _sample(path, [_profile(bounds, start, None)], step)
-
-
 def _profile(
-    bounds: PathLimits, start: tuple[float, float, float], end: tuple[float, float] | None
+    bounds: PathLimits, start: tuple[float, float, float], end: tuple[float, float]
 ) -> ruckig.Trajectory:
-    """The fastest s(t) within ``bounds`` to s and its derivative at the end, or None to rest."""
+    """The fastest s(t) within ``bounds`` to s and its derivative at the end."""
     ruckig = load_ruckig()
     wanted = ruckig.InputParameter(1)
-    if end is None:
-        wanted.control_interface = ruckig.ControlInterface.Velocity
-        wanted.target_velocity = [0.0]
-    else:
-        wanted.target_position, wanted.target_velocity = [end[0]], [end[1]]
+    wanted.target_position, wanted.target_velocity = [end[0]], [end[1]]
     now = ([start[0]], [start[1]], [start[2]])
     wanted.current_position, wanted.current_velocity, wanted.current_acceleration = now
     wanted.max_velocity, wanted.max_jerk = [bounds.speed], [bounds.jerk]

@@ -164,7 +164,7 @@ def _kinematic(name: str, task: Task) -> Physics:
 def _dynamic(task: Task) -> Physics:
     from learn2assemble.robot.arm import get_arm
     from learn2assemble.simulation.cell import DynamicCell, WorldForces
-    from learn2assemble.simulation.execution import ONE_SIDED
+    from learn2assemble.simulation.rest import ONE_SIDED
 
     rule = ONE_SIDED if task.num_sides == 1 else None
     # What the hand does where nothing is near changes nothing for the blocks.

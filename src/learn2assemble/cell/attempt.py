@@ -1,0 +1,248 @@
+"""One attempt of the arm: planned in the world as it is believed, carried out by a plant."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from learn2assemble.cell.sight import Sight
+from learn2assemble.cell.workcell import Job, Rows
+from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.motion.plant import Plant, ToolCommand
+from learn2assemble.motion.record import RATE, Stage, StepMotion
+from learn2assemble.robot.approach import approach_path, tool_path
+from learn2assemble.robot.moves import Move, Outcome, turned, turns
+from learn2assemble.simulation.cell import DynamicCell
+from learn2assemble.simulation.execution import BLIND, LOADED, Execution, Rig, abandon
+from learn2assemble.simulation.model import Failure, Order, SimulatedWorld, take_order
+from learn2assemble.simulation.prepare import (
+    PRESS,
+    Approaches,
+    Course,
+    leaving,
+    prepare,
+    require_held,
+)
+from learn2assemble.simulation.rest import ShiftRule, check_rest
+
+REST = 0.5
+"""Blocks that were disturbed are left alone for so long before it is looked where they are [s]."""
+OPENING_TIME = 0.5
+"""In which a hand lets go of what it could put back nowhere [s]."""
+
+
+class Came(NamedTuple):
+    """What came of an attempt."""
+
+    outcome: Outcome
+    stage: str
+    detail: str
+    joints: np.ndarray
+    """float64[n] where the arm is [rad]."""
+    motion: StepMotion | None = None
+    """What the drives were told."""
+
+    @property
+    def reached(self) -> bool:
+        """Whether all went as ordered."""
+        return self.outcome == Outcome.REACHED
+
+
+class AttemptSenses:
+    """What is known during an attempt, object by object of its order.
+
+    Args:
+        sight: what is known of all blocks.
+        order: what is asked.
+        rows: of its scene.
+        moving: the piece that is moved.
+    """
+
+    def __init__(self, sight: Sight, order: Order, rows: Rows, moving: int) -> None:
+        self.sight, self.order, self.rows, self.moving = sight, order, rows, moving
+        self.name = sight.world.names[moving]
+        self.run: Execution | None = None
+
+    def _centre(self, row: int) -> np.ndarray:
+        """float64[3]: middle of a part in the frame of its block [m]."""
+        piece = self.sight.world.pieces[int(self.rows.owner[row])]
+        return np.array(piece.shape[int(self.rows.part[row])].centre)
+
+    def settle(self, stage: str) -> None:
+        """See :class:`~learn2assemble.simulation.execution.Senses`."""
+        assert self.run is not None
+        self.run.wait(REST, stage, BLIND)
+
+    def taken(self) -> None:
+        """See :class:`~learn2assemble.simulation.execution.Senses`."""
+        assert self.run is not None
+        move = self.run.course.plan.move
+        self.sight.taken(self.name, move.grasp, self._centre(move.cell))
+
+    def in_hand(self) -> tuple[np.ndarray, np.ndarray]:
+        """See :class:`~learn2assemble.simulation.execution.Senses`."""
+        if self.sight.held is None:
+            assert self.run is not None
+            return self.order.in_hand(self.run.course.plan.move.grasp)
+        lead = int(self.order.objects.lead[self.order.target])
+        where, turn = self.sight.in_hand()
+        return where + turn @ self._centre(lead), turn
+
+    def look(self) -> np.ndarray:
+        """See :class:`~learn2assemble.simulation.execution.Senses`."""
+        run, sight = self.run, self.sight
+        assert run is not None
+        guard = LOADED if run.holding else BLIND
+        sight.pause = lambda seconds: run.wait(seconds, run.log[-1][0], guard)
+        sight.look(fine=run.holding)
+        poses = self.order.poses.copy()
+        for number, lead in enumerate(self.order.objects.lead.tolist()):
+            k = int(self.rows.owner[lead])
+            if k == self.moving and sight.held is not None:
+                pose = sight.held_pose(run.joints)
+            elif k >= 0:
+                pose = sight.world.pose[k]
+                if k == self.moving and not sight.unknown(k):
+                    pose = sight.belief.known[self.name].pose
+            else:
+                continue
+            place = pose[:3] + quaternion_matrix(pose[3:]) @ self._centre(lead)
+            poses[number] = [*place, *pose[3:]]
+        return poses
+
+    def let_go(self) -> None:
+        """See :class:`~learn2assemble.simulation.execution.Senses`."""
+        self.sight.let_go()
+
+    def lost(self) -> None:
+        """See :class:`~learn2assemble.simulation.execution.Senses`."""
+        self.sight.dropped()
+
+
+class Attempts:
+    """How an arm carries moves out.
+
+    Args:
+        job: what is built, by whom.
+        plant: the arm and its world.
+        sight: what is known of it.
+        careful: ways of the arm are planned in the world as it is believed; else they are straight.
+    """
+
+    def __init__(self, job: Job, plant: Plant, sight: Sight, careful: bool) -> None:
+        self.job, self.plant, self.sight = job, plant, sight
+        self.planner = DynamicCell(job.arm, recover=True) if careful else None
+        """Has the models in which ways are planned, and the limits."""
+
+    def carry_out(self, rows: Rows, move: Move, k: int, joints: np.ndarray) -> Came:
+        """Carry a move out.
+
+        Args:
+            rows: the scene as it is believed.
+            move: the order.
+            k: the piece that is moved.
+            joints: float64[n] where the arm is [rad].
+
+        Raises:
+            PlantError: where the plant answers nonsense, or not at all.
+        """
+        order = take_order(rows.scene, move)
+        try:
+            require_held(self.job.arm, rows.scene, move)
+            course, world = self._course(order, joints)
+        except Failure as failure:
+            return Came(failure.outcome, failure.stage, failure.detail, joints)
+        senses = AttemptSenses(self.sight, order, rows, k)
+        arm = self.job.arm
+        limits = arm.bounds.scaled(0.8), arm.bounds.scaled(0.6)
+        if self.planner is not None:
+            limits = self.planner.limits, self.planner.loaded
+        rig = Rig(self.plant, senses, arm, world, *limits, guarded=True)
+        run = senses.run = Execution(rig, order, course, joints)
+        failure = None
+        try:
+            run.go()
+            check_rest(order, senses.look(), 0.0, run.landed, ShiftRule())
+        except Failure as found:
+            failure = abandon(run, found, True)
+        if run.holding:
+            self._open(run)
+        came = Came(Outcome.REACHED, "", "", run.joints, motion_of(run, arm.gripper.max_width))
+        if failure is None:
+            return came
+        return came._replace(outcome=failure.outcome, stage=failure.stage, detail=failure.detail)
+
+    def _open(self, run: Execution) -> None:
+        """Let go of what could be put back nowhere; it is looked for afterwards."""
+        gripper = self.job.arm.gripper
+        told = ToolCommand(vacuum=False)
+        if self.job.arm.suction is None:
+            told = ToolCommand(width=gripper.max_width, speed=gripper.speed)
+        run.wait(OPENING_TIME, "release", BLIND, (told,))
+        self.sight.dropped()
+        run.wait(REST, "release", BLIND)
+
+    def _course(self, order: Order, joints: np.ndarray) -> tuple[Course, SimulatedWorld | None]:
+        """The ways of an attempt, and the model they were planned in."""
+        if self.planner is not None:
+            world = self.planner.world(order.objects, order.scene.studs)
+            return prepare(self.job.arm, world, order, joints, True), world
+        return straight(self, order, joints), None
+
+
+def straight(attempts: Attempts, order: Order, joints: np.ndarray) -> Course:
+    """A course along straight lines of the joints, which was looked at before.
+
+    Raises:
+        Failure: where a place is out of reach.
+    """
+    arm, scene, given = attempts.job.arm, order.scene, order.move
+    why: Failure | None = None
+    for move in (given, *(turned(scene, given, turn) for turn in turns(arm, given))):
+        grasp = move.grasp
+        over = tool_path(scene.position[move.cell], grasp, order.height, grasp.straight)
+        pick = approach_path(arm, over, PRESS)
+        over = tool_path(move.target, move.place, order.height, upwards=True)
+        place = approach_path(arm, over, order.below)
+        if isinstance(pick, str) or isinstance(place, str):
+            stage, detail = ("pick", pick) if isinstance(pick, str) else ("place", str(place))
+            why = why or Failure(Outcome.UNREACHABLE, stage, str(detail))
+            continue
+        leave = leaving(arm, move.target, move.place, order.height, place)
+        if isinstance(leave, str):
+            why = why or Failure(Outcome.UNREACHABLE, "retreat", leave)
+            continue
+        plan = Approaches(pick, place, leave, move, order.height)
+        there = np.array([joints, pick.joints[-1]])
+        across = np.array([pick.joints[-1], place.joints[-1]])
+        return Course(plan, there, across, np.array([leave.joints[-1], arm.home]))
+    assert why is not None
+    raise why
+
+
+def motion_of(run: Execution, widest: float) -> StepMotion | None:
+    """What the drives were told during an attempt, for its record."""
+    parts = [(stage, played) for stage, played in run.log if len(played.time)]
+    if not parts:
+        return None
+    joints, velocity, width, command = (
+        np.concatenate([played[column] for _, played in parts]) for column in (1, 2, 3, 4)
+    )
+    stages: list[Stage] = []
+    grip = release = None
+    count = 0
+    for number, (stage, played) in enumerate(run.log):
+        if not len(played.time):
+            continue
+        begin, count = count, count + len(played.time)
+        if stage == "lift" and grip is None:
+            grip = begin / RATE
+        gone = stage == "release" or (run.gone is not None and number >= run.gone)
+        if grip is not None and release is None and gone:
+            release = begin / RATE
+        if stages and stages[-1].name == stage:
+            stages[-1] = stages[-1]._replace(end=count / RATE)
+        else:
+            stages.append(Stage(stage, begin / RATE, count / RATE))
+    return StepMotion(joints, velocity, width.clip(0, widest), command, stages, grip, release)

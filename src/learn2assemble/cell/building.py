@@ -1,0 +1,448 @@
+"""A build that goes on attempt by attempt: looked at, chosen, carried out, looked at again.
+
+What it knows of the world is what its plant lets it sense. Whatever an attempt leaves behind is
+where the next decision begins; a build that is interrupted goes on from its file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from learn2assemble.cell.attempt import Attempts, Came
+from learn2assemble.cell.journal import Recording, append_state, packed, read_states
+from learn2assemble.cell.sight import Sight
+from learn2assemble.cell.state import Action, Choice, Done
+from learn2assemble.cell.workcell import (
+    DOWN,
+    FLAT,
+    LOOSE,
+    LOST,
+    MISSING,
+    RETURNED,
+    STANDING,
+    STOCK,
+    TRIES,
+    Arranged,
+    Direction,
+    Job,
+    Progress,
+    Rows,
+    Structure,
+    Workcell,
+    describe,
+    moves,
+    named,
+    rows_of,
+)
+from learn2assemble.motion.plant import Checked, Plant, PlantError, Request, standing
+from learn2assemble.robot.kinematic import KinematicCell
+from learn2assemble.robot.moves import Move, Outcome, carried
+
+PLACING = ("place", "again", "attach")
+"""Actions after which a block is in its place."""
+ASIDE = ("away", "attach")
+"""Actions that are no step of a plan."""
+GONE = 0.02
+"""A block farther from its place than this is not in its place any more [m]."""
+SAME_JOINTS = 1e-3
+"""Drives stray by less from where they were told to be [rad]."""
+OLDEST = 2.0
+"""Readings that are older are not used [s]."""
+
+
+class Prepared(NamedTuple):
+    """What a build begins with."""
+
+    job: Job
+    structure: Structure
+    """What rests on what."""
+    order: Arranged
+    """Proven, and possible for the arm."""
+    cell: KinematicCell
+    """To look before the arm moves."""
+
+
+class Kept(NamedTuple):
+    """How a simulated world is kept in the file of a build; it is not looked at."""
+
+    save: Callable[[], dict[str, Any]]
+    restore: Callable[[dict[str, Any]], None]
+
+
+class Building:
+    """A build that goes on.
+
+    Args:
+        found: what is to be built, in which order.
+        workcell: how it is carried out.
+        plant: that carries it out.
+        words: what the outcomes come from.
+        key: what the file it goes on from must have been written for.
+        kept: where the plant is a simulation that is kept in that file.
+    """
+
+    def __init__(
+        self,
+        found: Prepared,
+        workcell: Workcell,
+        plant: Plant,
+        words: str = "",
+        key: str = "",
+        kept: Kept | None = None,
+    ) -> None:
+        self.job, self.kinematic, self.key, self.kept = found.job, found.cell, key, kept
+        self.known = Choice(found.job, found.order, found.structure)
+        self.log, self.recorded = workcell.log, workcell.physics == "dynamic"
+        self.world = self.known.world
+        arm = self.job.arm
+        self.names = set(self.world.names)
+        """Of all blocks there ever were."""
+        self.plant = Checked(plant, arm.name, len(arm.joints), self.names, OLDEST)
+        self.sight = Sight(self.plant, arm, self.world, workcell.touch)
+        self.sight.pause = self._pause
+        self.attempts = Attempts(self.job, self.plant, self.sight, self.recorded)
+        self.joints = self._where(arm.home)
+        self.recording = Recording(self.world, self.joints, words)
+        self._resume()
+
+    # ------------------------------------------------------------ going on
+
+    def run(self, progress: Progress = lambda text: None) -> str | None:
+        """Until everything is done; why not, in words, where it cannot be."""
+        try:
+            return self._run(progress)
+        except PlantError as error:
+            return str(error)
+
+    def _run(self, progress: Progress) -> str | None:
+        if not self.known.done:
+            self._look()
+        most = 2 * len(self.known.order) + 20
+        while len(self.known.done) < most:
+            action = self.known.choose()
+            if not isinstance(action, Action):
+                return action
+            if not self.act(action):
+                continue
+            last = self.known.done[-1]
+            piece = self.world.pieces[action.block]
+            left = sum(not self.known.satisfied(step) for step in self.known.order)
+            how = "by hand" if last.hand else f"attempt {last.number}"
+            progress(
+                f"{how}: {last.what} {piece.id} ({piece.name}): {last.outcome}, {left} steps left"
+            )
+        return f"given up after {most} attempts"
+
+    # ------------------------------------------------------------ one attempt
+
+    def act(self, action: Action) -> bool:
+        """Try an action; False where the arm did not move because it cannot."""
+        k, world = action.block, self.world
+        if action.what == "hand":
+            return self._by_hand(action)
+        key = k, "place" if action.what == "remove" else action.what
+        state, presented = world.state[k], world.state[k] == STOCK
+        move, why, rows = None, f"{world.pieces[k].id} is not seen", None
+        if not presented or self._present(action):
+            skip = self.known.fails[key] % TRIES
+            move, why, rows = self._way(action, skip)
+        if move is None or rows is None:
+            if presented:
+                self._take_back(k)
+            if state == LOOSE and action.what == "place" and world.magazine(k) is not None:
+                self._replace(k)
+                return False
+            self.known.fails[key] += TRIES
+            if action.what in ("place", "remove", "attach"):
+                self.known.refused[k] = why
+            return False
+        if presented and action.source is not None:
+            world.used[action.source] += 1
+        self.recording.sync()  # What was presented or taken in has moved during the last attempt.
+        for n in action.group:
+            self._ask("join", n, world.pose[n], world.names[k])
+        placing = action.what in PLACING
+        studs = self.known.structure.joints_of(world, rows, placing, action.group)
+        rows = rows._replace(scene=rows.scene._replace(studs=studs))
+        came = self.attempts.carry_out(rows, move, k, self.joints)
+        self._come_home(action, rows, came.reached and placing)
+        came = came._replace(detail=named(came.detail, rows, world))
+        self._record(action, rows, move, came)
+        self.joints = came.joints
+        self.sight.pause = self._pause
+        self._look(k, action.group)
+        self._update(action, came)
+        self.known.done.append(
+            Done(
+                len(self.known.done) + 1,
+                k,
+                action.what,
+                came.outcome.label,
+                came.detail,
+                came.stage,
+                move.grasp.sideways,
+            )
+        )
+        self.known.fails[key] = 0 if came.reached else self.known.fails[key] + 1
+        self.known.refused.clear()
+        self._append()
+        return True
+
+    def _by_hand(self, action: Action) -> bool:
+        """A step is done by hand: the block is where it shall be, or gone."""
+        k, world = action.block, self.world
+        number = len(self.known.done) + 1
+        what = "remove" if world.state[k] == STANDING else "place"
+        self.recording.by_hand(k, what == "place")
+        self._ask(what, k, action.goal)
+        if what == "remove":
+            world.state[k] = RETURNED
+            self.sight.belief.forget(world.names[k])
+            world.hide(k)
+        else:
+            world.state[k], world.pose[k] = STANDING, action.goal
+        self._look(k)
+        self.known.done.append(Done(number, k, what, Outcome.REACHED.label, "", "", hand=True))
+        self.known.refused.clear()
+        self.recording.sync()
+        self._append()
+        return True
+
+    def _present(self, action: Action) -> bool:
+        """Let a magazine present a block; whether it is seen there."""
+        k, world = action.block, self.world
+        assert action.source is not None
+        self._ask("present", k, world.presented(k, action.source))
+        self.sight.look({world.names[k]})
+        if self.sight.unknown(k):
+            return False
+        world.pose[k] = self.sight.belief.known[world.names[k]].pose
+        return True
+
+    def _take_back(self, k: int) -> None:
+        """A magazine takes back what it presented, or what was brought to it."""
+        self._ask("return", k, self.world.pose[k])
+        self.sight.belief.forget(self.world.names[k])
+        self.world.hide(k)
+
+    def _ask(self, what: str, k: int, pose: np.ndarray, kind: str = "") -> None:
+        """Ask somebody else in the cell for something."""
+        name = self.world.names[k]
+        self.names.add(name)
+        kind = kind or self.world.pieces[k].id
+        self.plant.request(Request(what, name, kind, np.array(pose, float)))
+
+    def _way(self, action: Action, skip: int) -> tuple[Move | None, str, Rows]:
+        """The first way the kinematic cell allows, after as many as have failed in reality."""
+        k, goal = action.block, action.goal
+        rows, why, first = rows_of(self.world, self.world.pose, k, action.group), "", None
+        into: tuple[Direction, ...] = (DOWN,)
+        if action.what in ("place", "again"):
+            into = self.known.structure.ways_in(k, self.known.standing() - {k})
+        press = self._press(action) if action.what in PLACING else None
+        for move in moves(self.world, rows, k, goal, into, press):
+            found = self.kinematic.attempt(rows.scene, move)
+            if found.reached:
+                first = first or move
+                if not skip:
+                    return move, "", rows
+                skip -= 1
+            why = why or named(describe(found), rows, self.world)
+        return first, why or "the tool cannot hold it", rows
+
+    def _press(self, action: Action) -> tuple[float, float] | None:
+        """Where a block is pressed home, x and y [m]; None: it is not."""
+        k, taken = action.block, (action.block, *action.group)
+        beside = np.zeros(3) if action.group else self.world.beside[k]
+        apart = (self.world.beside == beside).all(1)
+        here = {n for n in self.known.standing() if apart[n]} - set(taken)
+        at = self.known.structure.press_at(k, action.group, here)
+        return None if at is None else (action.goal[0] + at[0], action.goal[1] + at[1])
+
+    def _come_home(self, action: Action, rows: Rows, pressed: bool) -> None:
+        """Which joints of studs are home now, as far as that is known: those of a block that was
+        pressed, and none of one that was taken elsewhere."""
+        taken, home = {action.block, *action.group}, self.world.home
+        for pair in [pair for pair in home if len(taken & set(pair)) == 1]:
+            home.discard(pair)
+        studs = rows.scene.studs
+        for joint in studs.joints if studs is not None and pressed else ():
+            below = joint.lower if joint.lower < 0 else int(rows.owner[joint.lower])
+            home.add((below, int(rows.owner[joint.upper])))
+
+    # ------------------------------------------------------------ looking
+
+    def _where(self, told: np.ndarray) -> np.ndarray:
+        """float64[n]: joints at which the next motion begins: as it was told last where the arm is
+        there, else as they are sensed [rad]."""
+        sensed = self.plant.sense().joints
+        return told.copy() if np.abs(sensed - told).max() < SAME_JOINTS else sensed
+
+    def _pause(self, seconds: float) -> None:
+        """Wait, standing still."""
+        self.plant.execute(standing("home", self.joints, seconds))
+
+    def _look(self, k: int | None = None, group: tuple[int, ...] = ()) -> None:
+        """See where everything is.
+
+        Args:
+            k: a block that was moved, which has to be found.
+            group: blocks it brought along.
+        """
+        world = self.world
+        for n in group:
+            self.sight.belief.forget(world.names[n])
+        needed = {world.names[n] for n in world.visible()} | (
+            {world.names[k]} if k is not None else set()
+        )
+        self.sight.look(needed)
+        for n in world.visible():
+            if self.sight.unknown(n) and n != k:
+                self._lose(n)
+        if k is not None and not self.sight.unknown(k):
+            world.pose[k] = self.sight.belief.known[world.names[k]].pose
+
+    def _update(self, action: Action, came: Came) -> None:
+        """Which block is where now, as far as it was seen."""
+        world, k = self.world, action.block
+        placing = action.what in PLACING
+        if came.reached and action.what == "attach":
+            world.beside[[k, *action.group]] = 0.0
+        if came.reached and not placing:
+            back = action.source is not None and world.job.sources[action.source].magazine
+            extra = k >= len(self.job.pieces)
+            if back or action.what == "remove":
+                self._take_back(k)
+            gone = action.what == "remove" or (back and extra)
+            world.state[k] = RETURNED if gone else LOST if extra else STOCK if back else LOOSE
+            if back and action.what == "away" and not extra:
+                world.used[action.source or 0] -= 1
+        for n in [k, *(n for n in world.visible() if n != k)]:
+            if n == k and came.reached and not placing:
+                continue
+            if self.sight.unknown(n):
+                self._lose(n)
+                continue
+            if n >= len(self.job.pieces):
+                world.state[n] = LOST
+                continue
+            piece, now = world.pieces[n], world.pose[n, 3:]
+            off = world.pose[n, :3] - world.target(n)[:3]
+            in_place = np.linalg.norm(off) < GONE and piece.lean(now, piece.pose[3:]) < FLAT
+            upright = piece.lean(now, piece.waits[3:]) < FLAT
+            if in_place and (
+                n != k or came.outcome not in (Outcome.UNREACHABLE,) or world.state[n] == STANDING
+            ):
+                world.state[n] = STANDING
+                self.known.accepted.discard(n) if n == k else None
+            elif n == k and action.source is not None and self._still_there(n, action.source):
+                world.state[n] = STOCK
+                world.used[action.source] -= 1
+                self._take_back(n)
+            elif upright:
+                world.state[n] = LOOSE
+            else:
+                self._lose(n)
+        for n, state in enumerate(world.state):
+            if state in (STOCK, RETURNED, MISSING):
+                world.hide(n)
+        self.recording.sync()
+
+    def _still_there(self, k: int, source: int) -> bool:
+        """Whether a block lies at its magazine, which takes it back then."""
+        at = self.world.presented(k, source)
+        near = np.linalg.norm(self.world.pose[k, :3] - at[:3]) < GONE
+        return bool(near) and self.job.sources[source].magazine
+
+    def _lose(self, k: int) -> None:
+        """The block cannot be used from where it lies, or it is not seen any more; the next one of
+        its kind takes its place."""
+        if k < len(self.job.pieces) and self.world.magazine(k) is not None:
+            self._replace(k)
+        else:
+            self.world.state[k] = MISSING if self.sight.unknown(k) else LOST
+
+    def _replace(self, k: int) -> None:
+        """Another block of the kind takes its place in the plan; this one lies where it lies."""
+        world, missing = self.world, self.sight.unknown(k)
+        spare = self.recording.replace(k)
+        self.names.add(world.names[k])
+        world.pose[spare], world.state[spare] = world.pose[k].copy(), MISSING if missing else LOST
+        world.state[k], world.source[k] = STOCK, None
+        world.hide(k)
+        if missing:
+            world.hide(spare)
+        self.recording.sync()
+
+    # ------------------------------------------------------------ the record
+
+    def _record(self, action: Action, rows: Rows, move: Move, came: Came) -> None:
+        """Append an attempt to the record of the build."""
+        if not self.recorded:
+            return
+        recorder, scene = self.recording.recorder, rows.scene
+        if not recorder.steps and came.motion is not None:
+            self.recording.begin(self.joints, float(came.motion.width[0]))
+        step = next(
+            (
+                n
+                for n, s in enumerate(self.known.order, 1)
+                if s.block == action.block and s.remove == (action.what == "remove")
+            ),
+            None,
+        )
+        members = scene.members(move.cell)
+        turn = carried(scene, move, members)[1][0]
+        self.recording.recorder.add(
+            plan_step=step,
+            cells=self.recording.numbers(rows)[members].tolist(),
+            target=np.array([*move.target, *turn]),
+            outcome=came.outcome,
+            detail=came.detail,
+            motion=came.motion,
+        )
+
+    # ------------------------------------------------------------ going on after an interruption
+
+    def _append(self) -> None:
+        if self.log is None:
+            return
+        world = self.world
+        state = {
+            "pose": world.pose.tolist(),
+            "state": world.state,
+            "used": world.used,
+            "source": world.source,
+            "names": world.names,
+            "joints": self.joints.tolist(),
+            **self.known.state(),
+            **self.sight.state(),
+            **self.recording.state(),
+        }
+        if self.kept is not None:
+            state["plant"] = self.kept.save()
+        if self.recorded and not self.known.done[-1].hand:
+            state["record"] = packed(self.recording.recorder.steps[-1])
+        append_state(self.log, state)
+
+    def _resume(self) -> None:
+        """Go on from what the file says, or begin it."""
+        states = [] if self.log is None else read_states(self.log, self.key)
+        if not states:
+            return
+        last, world = states[-1], self.world
+        for piece in last["like"]:
+            world.add(piece)
+        world.names[:] = last["names"]
+        self.names.update(world.names)
+        world.pose = np.array(last["pose"])
+        world.state, world.used, world.source = last["state"], last["used"], last["source"]
+        if self.kept is not None and "plant" in last:
+            self.kept.restore(last["plant"])
+        self.joints = self._where(np.array(last["joints"]))
+        self.known.restore(last, [state["done"] for state in states])
+        self.sight.restore(last)
+        self.recording.restore(last, [state["record"] for state in states if "record" in state])

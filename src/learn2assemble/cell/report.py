@@ -1,0 +1,230 @@
+"""What came of a build: the plan as it was carried out, and what the arm did.
+
+Where the plant is a simulation, this is the one place that asks it how things really are, when the
+build is over; whoever decides has seen none of it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from learn2assemble.assembly.blocks import AssemblyStep
+from learn2assemble.cell.building import ASIDE, Building
+from learn2assemble.cell.workcell import STANDING, Job, StepOf, Workcell
+from learn2assemble.geometry.hulls import separation
+from learn2assemble.planning.plan import ArmFailure, ArmReport, Plan, Step
+from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.bodies import solids
+from learn2assemble.robot.moves import Outcome
+
+
+def words_of(job: Job, workcell: Workcell) -> str:
+    """What the outcomes of a build come from."""
+    import mujoco
+
+    if workcell.physics == "kinematic":
+        return "kinematic cell: reach and collisions"
+    holds = "a suction cup" if job.arm.suction else "friction of the fingers"
+    return f"MuJoCo {mujoco.__version__}, arm and blocks together, held by {holds}"
+
+
+def arm_report(
+    job: Job, workcell: Workcell, building: Building | None, plant: object = None
+) -> ArmReport:
+    """What the arm did, and how far the blocks really are from their places where a simulation can
+    tell."""
+    x, y, z = job.arm.base_position.tolist()
+    facing = float(job.arm.base_yaw - get_arm(workcell.arm).base_yaw)
+    base = round(x, 6), round(y, 6), round(z, 6), round(facing, 6)
+    if building is None:
+        return ArmReport(workcell.arm, 0.0, 0, (), 0.0, workcell.tool, base, len(job.sources))
+    failures = tuple(
+        ArmFailure(
+            d.number,
+            d.outcome,
+            f"{d.what} {building.world.pieces[d.block].id}, {d.stage}: {d.detail}",
+            False,
+        )
+        for d in building.known.attempts()
+        if d.outcome != Outcome.REACHED.label
+    )
+    attempts = len(building.known.attempts())
+    satisfied = sum(
+        building.known.satisfied(step)
+        for step in building.known.order
+        if step not in building.known.by_hand
+    )
+    measured = measure(building, plant)
+    return ArmReport(
+        workcell.arm,
+        _pitch(job),
+        attempts,
+        failures,
+        round(building.recording.recorder.now, 2),
+        workcell.tool,
+        base,
+        len(job.sources),
+        round(attempts / max(satisfied, 1), 4),
+        measured.mean,
+        measured.worst,
+        belief_error=measured.belief,
+        overlap=measured.overlap,
+    )
+
+
+class Measured(NamedTuple):
+    """Of a simulation when a build is over [m]; None where nothing can be measured."""
+
+    mean: float | None = None
+    """Mean distance of the blocks from their places, and ..."""
+    worst: float | None = None
+    """... the largest."""
+    belief: float | None = None
+    """Largest distance of a block from where it is believed to be."""
+    overlap: float | None = None
+    """By which two blocks overlap at most, as they are meant to be; at most 0: they do not."""
+
+
+def measure(building: Building, plant: object) -> Measured:
+    """What a simulation says of itself; the build is over and has seen none of it."""
+    truth: dict[str, np.ndarray] | None = None
+    if hasattr(plant, "truth"):
+        truth = plant.truth()  # pyright: ignore[reportAttributeAccessIssue]
+    world, there = building.world, sorted(building.known.standing())
+    if truth is None or not there:
+        return Measured()
+    away = np.array([0.0, 0.0, -1.0, 1.0, 0.0, 0.0, 0.0])
+    poses = {k: truth.get(world.names[k], away) for k in there}
+    errors = [float(np.linalg.norm(poses[k][:3] - world.target(k)[:3])) for k in there]
+    belief = [float(np.linalg.norm(poses[k][:3] - world.pose[k, :3])) for k in there]
+    deepest = -math.inf
+    bodies = {k: solids(world.pieces[k].shape, poses[k]) for k in there}
+    ends = {
+        k: (np.min([b[0].min(0) for b in body], 0), np.max([b[0].max(0) for b in body], 0))
+        for k, body in bodies.items()
+    }
+    for number, k in enumerate(there):
+        for n in there[number + 1 :]:
+            if (ends[n][0] < ends[k][1] + 1e-3).all() and (ends[n][1] > ends[k][0] - 1e-3).all():
+                gaps = (separation(a, b)[0] for a in bodies[k] for b in bodies[n])
+                deepest = max(deepest, -min(gaps))
+    overlap = None if deepest == -math.inf else round(deepest, 6)
+    return Measured(
+        round(float(np.mean(errors)), 6), round(max(errors), 6), round(max(belief), 6), overlap
+    )
+
+
+def _pitch(job: Job) -> float:
+    """Horizontal distance of neighbouring cells: the smallest block and a joint [m]."""
+    return round(2 * min(float(p.half[:2].min()) for p in job.pieces) + job.joint, 6)
+
+
+def carried_out(
+    plan: Plan,
+    building: Building,
+    workcell: Workcell,
+    reason: str | None,
+    seconds: float,
+    plant: object,
+) -> Plan:
+    """The plan with what really happened."""
+    job, world = building.job, building.world
+    assert plan.assembly is not None
+    last = {
+        d.step: d
+        for d in building.known.done
+        if d.outcome == Outcome.REACHED.label and d.what not in ASIDE
+    }
+    order = [step for step in building.known.order if not step.group]
+    apart = {step.block for step in order if step.beside is not None}
+    done = [step.plain for step in order if building.known.satisfied(step)]
+    done.sort(key=lambda step: last[step].number if step in last else 0)
+    proven = {StepOf(s.block, s.action == "remove"): s for s in plan.steps}
+    same, standing, covered, before = done == list(proven), set[int](), 0.0, 0.0
+    steps: list[Step] = []
+    share = {s.block: 0.0 for s in plan.steps}
+    for step in plan.steps:
+        share[step.block] += step.coverage - before if step.action == "place" else 0.0
+        before = step.coverage
+    for number, step in enumerate(done, 1):
+        standing = standing - {step.block} if step.remove else standing | {step.block}
+        old, attempt = proven[step], last.get(step)
+        covered += 0.0 if step.remove else share[step.block]
+        if not same:
+            shown = building.known.structure.proof(frozenset(standing))
+            old = old.with_proof(*(shown or ("carried out", None)))
+        there = not step.remove and world.state[step.block] == STANDING
+        pose = world.pose[step.block] if there else world.target(step.block)
+        x, y, z, w, a, b, c = (round(float(v), 6) for v in pose)
+        above = "above" if attempt is None or not attempt.sideways else "the side"
+        how = f"suction from {above}" if job.arm.suction else "fingers"
+        hand = attempt is not None and attempt.hand
+        steps.append(
+            replace(
+                old,
+                step=number,
+                position=(x, y, z),
+                quaternion=(w, a, b, c),
+                coverage=round(covered, 6),
+                outcome=attempt.outcome if attempt and not hand else None,
+                way="beside" if step.block in apart else old.way,
+                grasp="by hand" if hand else how,
+                by_hand=hand,
+            )
+        )
+    made = tuple(
+        AssemblyStep(
+            **{"remove" if s.remove else "place": plan.assembly.blocks[s.block].id},
+            by_hand=step.by_hand or None,
+        )
+        for s, step in zip(done, steps, strict=True)
+    )
+    assembly = replace(plan.assembly, steps=made, not_built=()).as_far_as_placed()
+    ranges: dict[str, Any] = {}
+    if not same:
+        # The ranges of the planner hold for its states; these were proven for one of each.
+        whole = all(step.margin_g is not None for step in steps)
+        ranges = {
+            name: (value, value) if whole else None
+            for name, value in (("friction_range", job.friction), ("gap_range", job.joint))
+        }
+    record = building.recording.record() if building.recorded else None
+    if record is not None:
+        numbers = {step: n for n, step in enumerate(done, 1)}
+        record = replace(
+            record,
+            steps=tuple(
+                replace(step, plan_step=None if d.what in ASIDE else numbers.get(d.step))
+                for step, d in zip(record.steps, building.known.attempts(), strict=True)
+            ),
+        )
+    return replace(
+        plan,
+        status="incomplete" if reason else "complete",
+        reason=reason,
+        steps=tuple(steps),
+        coverage=steps[-1].coverage if steps else 0.0,
+        seconds=round(plan.seconds + seconds, 3),
+        blocks=replace(
+            plan.blocks, used=len(building.known.standing()), waiting=_waiting(building)
+        ),
+        verified_by=f"{plan.verified_by}, and {words_of(job, workcell)}",
+        arm=arm_report(job, workcell, building, plant),
+        record=record,
+        assembly=assembly,
+        **ranges,
+    )
+
+
+def _waiting(building: Building) -> tuple[Any, ...]:
+    """Where every block is taken from."""
+    world, out = building.world, []
+    for k in range(len(building.job.pieces)):
+        number = world.source[k] if world.source[k] is not None else world.magazine(k)
+        pose = world.target(k) if number is None else world.presented(k, number)
+        out.append(tuple(round(float(v), 6) for v in pose[:3]))
+    return tuple(out)

@@ -1,0 +1,231 @@
+"""What the arm knows of the cell, from what a plant lets it sense and from nothing else.
+
+It looks until it knows what it has to, which may take several pictures; what is in the hand is
+known in the frame of the tool. A touch is a measurement, too: pads and the lip of a cup lie flat
+against what they hold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from learn2assemble.cell.belief import (
+    GATE,
+    Belief,
+    Estimate,
+    averaged,
+    distance,
+    fused,
+    read,
+)
+from learn2assemble.cell.workcell import LOOSE, LOST, MISSING, STANDING, WorkcellBlocks
+from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
+from learn2assemble.motion.plant import Plant, Readings, ToolReading
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.grasps import Attitude
+from learn2assemble.robot.kinematics import forward, get_chain
+
+PICTURE = 0.1
+"""Two readings tell more than one if they are so far apart in time [s]."""
+MOST_LOOKS = 10
+"""How often it is looked at most for what has to be known."""
+FINE = 2.2e-4
+"""What is in the hand is looked at until its place is known so well: standard deviation [m]."""
+SHIFT, SHIFT_TURN = 2e-4, 3e-3
+"""By which a block may move when it is taken or let go: standard deviations [m], [rad]."""
+FLUSH, FLUSH_TURN = 1e-4, 2e-3
+"""How well a face lies against pads or lip: standard deviations [m], [rad]."""
+ARM_OFF = 5e-5
+"""How exactly the joints say where the tool is [m]."""
+
+
+class Held(NamedTuple):
+    """What is in the hand."""
+
+    block: str
+    estimate: Estimate
+    """In the tool frame."""
+
+
+class Sight:
+    """What is known of all blocks.
+
+    Args:
+        plant: that is asked; no answer of it gets past that makes no sense.
+        arm: of it.
+        world: the blocks; where they are believed to be is written there.
+        touch: whether the tool's touch counts as a measurement.
+    """
+
+    def __init__(self, plant: Plant, arm: Arm, world: WorkcellBlocks, touch: bool = True) -> None:
+        self.plant, self.arm, self.world, self.touch = plant, arm, world, touch
+        self.belief = Belief(lambda name: world.pieces[world.names.index(name)].turns())
+        self.held: Held | None = None
+        self.since: dict[str, float] = {}
+        """When a block was moved last; older readings say nothing of it."""
+        self.last = -PICTURE
+        self.pause: Callable[[float], Any] = lambda seconds: None
+        """Waits [s], standing still."""
+
+    # ------------------------------------------------------------ looking
+
+    def look(self, needed: Collection[str] = (), fine: bool = False) -> None:
+        """Look, until it is known where these blocks are; once more for whatever readings say that
+        contradict what was known. Blocks that are not seen then are not known.
+
+        Args:
+            needed: names of blocks.
+            fine: look at what is in the hand until its place is known to :data:`FINE`.
+        """
+        self.belief.rest()
+        for _ in range(MOST_LOOKS):
+            exact = self._picture()
+            open_questions = bool(self.belief.rivals) or any(
+                name not in self.belief.known and not self._holds(name) for name in needed
+            )
+            rough = fine and self.held is not None and self.held.estimate.spread > FINE
+            if not open_questions and (exact or not rough):
+                break
+        self.write()
+
+    def _picture(self) -> bool:
+        """Take in what is sensed now; whether it is exact."""
+        if self.last > -PICTURE:
+            now = self.plant.sense()
+            if now.time - self.last < PICTURE and any(one.covariance.any() for one in now.blocks):
+                self.pause(PICTURE - (now.time - self.last))
+        readings = self.plant.sense()
+        self.last = readings.time
+        tool = self._tool(readings)
+        for one in readings.blocks:
+            if self._holds(one.block):
+                if one.time >= readings.time - 1e-6:
+                    self._see_held(read(one), tool)
+            elif one.time >= self.since.get(one.block, one.time):
+                self.belief.see(one.block, read(one))
+        return not any(one.covariance.any() for one in readings.blocks)
+
+    def _see_held(self, reading: Estimate, tool: tuple[np.ndarray, np.ndarray]) -> None:
+        """A reading of what is in the hand."""
+        assert self.held is not None
+        name, known = self.held
+        seen = reading.seen_from(*tool)
+        if not reading.covariance.any():
+            self.held = Held(name, seen)
+            return
+        seen = self.belief.as_known(name, seen, known)
+        off = np.diag([ARM_OFF**2] * 3 + [0.0] * 3)
+        seen = seen._replace(covariance=seen.covariance + off)
+        if distance(known, seen) <= GATE:
+            self.held = Held(name, averaged(known, seen))
+            self.belief.rivals.pop(name, None)
+            return
+        rival = self.belief.rivals.get(name)
+        if rival is not None and distance(rival, seen) <= GATE:
+            self.held = Held(name, averaged(rival, seen))
+            self.belief.rivals.pop(name)
+        else:
+            self.belief.rivals[name] = seen
+
+    def _tool(self, readings: Readings) -> tuple[np.ndarray, np.ndarray]:
+        """Pose of the tool float64[3] [m] and float64[3, 3]."""
+        return forward(get_chain(self.arm), readings.joints)
+
+    def _holds(self, name: str) -> bool:
+        return self.held is not None and self.held.block == name
+
+    def feel(self) -> ToolReading:
+        """What the tool feels now."""
+        return self.plant.sense().tool
+
+    def write(self) -> None:
+        """Blocks are where they are believed to be; what was missing may have been found."""
+        world = self.world
+        for k, name in enumerate(world.names):
+            known = self.belief.known.get(name)
+            if known is not None and world.state[k] == MISSING:
+                world.state[k] = LOST
+            if known is not None and world.state[k] in (STANDING, LOOSE, LOST):
+                world.pose[k] = known.pose
+
+    def unknown(self, k: int) -> bool:
+        """Whether it is not known where a block is."""
+        return self.world.names[k] not in self.belief.known
+
+    # ------------------------------------------------------------ taking and letting go
+
+    def taken(self, name: str, grasp: Attitude, contact: np.ndarray) -> None:
+        """The tool has taken hold of a block.
+
+        Args:
+            name: of it.
+            grasp: how.
+            contact: float64[3]: middle of the part that is held, in the frame of the block [m].
+        """
+        tool = self._tool(self.plant.sense())
+        known = self.belief.known[name].seen_from(*tool)
+        shift = np.diag([SHIFT**2] * 3 + [SHIFT_TURN**2] * 3)
+        known = known._replace(covariance=known.covariance + shift)
+        if self.touch:
+            known = self._flush(known, grasp, contact)
+        self.belief.forget(name)
+        self.held = Held(name, known)
+
+    def _flush(self, known: Estimate, grasp: Attitude, contact: np.ndarray) -> Estimate:
+        """An estimate in the tool frame once a face lies against the tool: along the axis across
+        pads, or out of the lip, and about the two others."""
+        fingers = self.arm.suction is None
+        frame = np.eye(3)[:, [2, 0, 1]] if fingers else grasp.lip.frame()
+        axis = frame[:, 2]
+        arm = quaternion_matrix(known.pose[3:]) @ contact
+        rows = np.zeros((3, 6))
+        rows[0, :3], rows[0, 3:] = axis, np.cross(arm, axis)
+        rows[1, 3:], rows[2, 3:] = frame[:, 0], frame[:, 1]
+        noise = np.diag([FLUSH, FLUSH_TURN, FLUSH_TURN]) ** 2
+        # The hand was turned so that the face should lie flat: what was meant is what is measured.
+        return fused(known, rows, np.zeros(3), noise)
+
+    def let_go(self) -> None:
+        """What was held rests where the hand is."""
+        if self.held is None:
+            return
+        readings = self.plant.sense()
+        name, known = self.held
+        there = known.seen_in(*self._tool(readings))
+        shift = np.diag([SHIFT**2] * 3 + [SHIFT_TURN**2] * 3)
+        self.held = None
+        self.belief.put(name, there._replace(covariance=there.covariance + shift))
+        self.since[name] = readings.time
+
+    def dropped(self) -> None:
+        """What was held is somewhere else."""
+        if self.held is not None:
+            self.belief.forget(self.held.block)
+            self.since[self.held.block] = self.plant.sense().time
+            self.held = None
+
+    def in_hand(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pose of what is held in the tool frame: float64[3] [m] and float64[3, 3]."""
+        assert self.held is not None
+        pose = self.held.estimate.pose
+        return pose[:3], quaternion_matrix(pose[3:])
+
+    def held_pose(self, joints: np.ndarray) -> np.ndarray:
+        """float64[7]: of what is held, where the arm is at these joints."""
+        position, rotation = forward(get_chain(self.arm), joints)
+        where, turn = self.in_hand()
+        return np.array([*(position + rotation @ where), *matrix_quaternion(rotation @ turn)])
+
+    # ------------------------------------------------------------ a file of the build
+
+    def state(self) -> dict[str, Any]:
+        """What a file says of it."""
+        return {"known": self.belief.state(), "since": self.since, "looked": self.last}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """As a file says it was."""
+        self.belief.restore(state["known"])
+        self.since, self.last = state["since"], state["looked"]

@@ -1,0 +1,231 @@
+"""Simulated cells as plants: pictures, disturbances, guards, placing by touch."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from l2a_lab.shapes import wall
+from learn2assemble.assembly.kit import load_kit
+from learn2assemble.cell.belief import step_between
+from learn2assemble.cell.carry_out import Workcell, carry_out, prepare, setup_of
+from learn2assemble.design.cells import CellDesign
+from learn2assemble.motion.plant import (
+    BlockKind,
+    Disturbance,
+    Guard,
+    Motion,
+    Noise,
+    PlantError,
+    Request,
+    Setup,
+    Simulated,
+    Stop,
+    ToolCommand,
+    standing,
+)
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.bodies import Part
+from learn2assemble.robot.grasps import Attitude
+from learn2assemble.robot.inverse import solve
+from learn2assemble.simulation.disturbances import (
+    PERIOD,
+    Chances,
+    Pictures,
+    on_table,
+    stretched,
+)
+from learn2assemble.simulation.execution import PRESSED
+from learn2assemble.simulation.plant import DynamicPlant, simulated
+
+ARM = get_arm("panda", "suction")
+BRICK = BlockKind((Part((0.0, 0.0, 0.0), (0.05, 0.025, 0.025)),), 600.0)
+PLACE = np.array([0.1, -0.1, 0.025, 1.0, 0.0, 0.0, 0.0])
+KIT = dataclasses.replace(load_kit("bricks-lintels"), pitch=(0.04, 0.04, 0.04))
+
+
+def setup(physics: str = "dynamic", **told: object) -> Setup:
+    kinds = {"a": BRICK, "b": BRICK}
+    return Setup(ARM, kinds, {"a": PLACE}, simulated=Simulated(physics, **told))
+
+
+# ---------------------------------------------------------------- what is seen
+
+
+def test_pictures_differ_from_one_another_as_they_say() -> None:
+    noise = Noise(5e-4, 3e-3, 1e-3)
+    pictures = Pictures(Chances(Simulated(noise=noise, seed=4)))
+    off = []
+    for k in range(600):
+        (one,) = pictures.look(k * PERIOD, {"a": PLACE})
+        assert np.array_equal(one.covariance, pictures.covariance())
+        off.append(step_between(PLACE, one.pose))
+    spread = np.std(off, axis=0)
+    assert np.allclose(spread, [5e-4, 5e-4, 1e-3, 3e-3, 3e-3, 3e-3], rtol=0.15)
+    assert np.abs(np.mean(off, axis=0) / spread).max() < 4 / math.sqrt(600)
+
+
+def test_who_looks_twice_at_once_sees_the_same() -> None:
+    pictures = Pictures(Chances(Simulated(noise=Noise(5e-4, 3e-3))))
+    one, two = (pictures.look(time, {"a": PLACE})[0].pose for time in (0.31, 0.39))
+    assert np.array_equal(one, two)
+    assert not np.array_equal(one, pictures.look(0.41, {"a": PLACE})[0].pose)
+
+
+def test_readings_are_missing_late_and_far_off_as_often_as_asked() -> None:
+    noise = Noise(1e-4, 1e-3, missing=0.2, outliers=0.1, late=0.1)
+    pictures = Pictures(Chances(Simulated(noise=noise)))
+    seen = [one for k in range(1000) for one in pictures.look(k * PERIOD, {"a": PLACE})]
+    assert 0.75 < len(seen) / 1000 < 0.85
+    far = np.mean([np.linalg.norm(one.pose[:3] - PLACE[:3]) > 0.01 for one in seen])
+    assert 0.07 < far < 0.13
+    late = np.mean([abs(one.time / PERIOD % 1) < 1e-9 and one.time < 0 for one in seen])
+    assert late == 0
+
+
+def test_blocks_are_as_heavy_and_high_as_drawn_whatever_else_is_drawn() -> None:
+    told = Disturbance(supply=(1e-3, 0.02), mass=0.1, height=3e-4)
+    chances = Chances(Simulated(seed=7, disturbance=told))
+    kind, pose = chances.block(BRICK, PLACE, 3)
+    chances.block(BRICK, PLACE, 4)
+    again, there = Chances(Simulated(seed=7, disturbance=told)).block(BRICK, PLACE, 3)
+    assert kind == again
+    assert np.array_equal(pose, there)
+    higher = 2 * kind.shape[0].half[2] - 0.05
+    assert 0 < abs(higher) <= 3e-4
+    # It stands on the table all the same.
+    assert math.isclose(pose[2], kind.shape[0].half[2])
+    assert kind.shape[0].half[:2] == BRICK.shape[0].half[:2]
+    two = (Part((-0.01, 0.0, 0.0), (0.01, 0.01, 0.01)), Part((0.01, 0.0, 0.0), (0.01, 0.01, 0.02)))
+    longer = stretched(two, 0, 0.004)
+    assert math.isclose(longer[1].centre[0] + longer[1].half[0], 0.022)
+    assert math.isclose(longer[0].centre[0] + longer[0].half[0], 0.0, abs_tol=1e-12)
+
+
+# ---------------------------------------------------------------- what it does
+
+
+def over(height: float) -> np.ndarray:
+    """Joints with the cup over the brick [m]."""
+    found = solve(ARM, PLACE[:3] + np.array([0, 0, height]), Attitude().rotation(), ARM.home)
+    assert found.ok
+    return found.joints
+
+
+def way(stage: str, start: np.ndarray, end: np.ndarray, seconds: float) -> Motion:
+    share = np.linspace(0, 1, 21)[:, None]
+    joints = start + (3 * share**2 - 2 * share**3) * (end - start)
+    velocity = 6 * (share - share**2) * (end - start) / seconds
+    return Motion(stage, seconds * share[:, 0], joints, velocity)
+
+
+@pytest.mark.parametrize("physics", ["dynamic", "kinematic"])
+def test_a_block_is_taken_up_and_set_down_by_touch(physics: str) -> None:
+    plant = simulated(setup(physics))
+    above, touching, low = over(0.1), over(0.025), over(0.02)
+    assert plant.execute(way("approach", ARM.home, above, 2.0)).stop == Stop.END
+    assert plant.execute(way("pick", above, touching, 1.0)).stop == Stop.END
+    on = (ToolCommand(vacuum=True),)
+    made = plant.execute(standing("pick", touching, 0.5), on, (Guard(hold="made"),))
+    assert made.stop == Stop.HELD
+    assert made.tool.vacuum
+    kept = (Guard(hold="kept"),)
+    assert plant.execute(way("lift", touching, above, 1.0), (), kept).stop == Stop.END
+    (seen,) = plant.sense().blocks
+    assert abs(seen.pose[2] - 0.1) < 1e-3
+    # Down again, further than the table: it ends where the brick stands.
+    down = way("place", above, low, 2.0)
+    report = plant.execute(down, (), (Guard(hold="kept", contact=1.0, held=PRESSED),))
+    assert report.stop == Stop.CONTACT
+    assert 0.8 < report.done < 1
+    off = (ToolCommand(vacuum=False),)
+    assert not plant.execute(standing("release", report.joints, 0.3), off).tool.vacuum
+    (seen,) = plant.sense().blocks
+    assert np.abs(seen.pose[:3] - PLACE[:3]).max() < 1e-3
+
+
+@pytest.mark.parametrize("physics", ["dynamic", "kinematic"])
+def test_a_vacuum_on_nothing_is_not_made(physics: str) -> None:
+    plant = simulated(setup(physics))
+    on = (ToolCommand(vacuum=True),)
+    report = plant.execute(standing("pick", ARM.home, 0.5), on, (Guard(hold="made"),))
+    assert report.stop == Stop.END
+    assert report.tool.vacuum is False
+
+
+def test_what_is_in_the_way_stops_the_arm() -> None:
+    plant = simulated(setup())
+    above, into = over(0.1), over(0.0)
+    plant.execute(way("approach", ARM.home, above, 2.0))
+    report = plant.execute(way("cross", above, into, 2.0), (), (Guard(force=0.5, taken=5.0),))
+    assert report.stop == Stop.FORCE
+    assert "touches a" in report.detail or "touches block" in report.detail
+    assert report.done < 1
+    assert np.abs(report.joints - plant.where()).max() == 0
+
+
+@pytest.mark.parametrize("physics", ["dynamic", "kinematic"])
+def test_motions_and_requests_that_cannot_be_are_refused(physics: str) -> None:
+    plant = simulated(setup(physics))
+    with pytest.raises(PlantError, match="rad from where the arm is"):
+        plant.execute(standing("home", ARM.home + 0.1, 0.1))
+    with pytest.raises(PlantError, match="7 joints"):
+        plant.execute(standing("home", np.zeros(6), 0.1))
+    for what, name in (("present", "a"), ("place it", "b"), ("join", "b")):
+        assert plant.request(Request(what, name, "a", PLACE)).stop == Stop.REFUSED
+    assert plant.request(Request("return", "a", "a", PLACE)).stop == Stop.END
+    assert plant.sense().blocks == ()
+
+
+# ---------------------------------------------------------------- placing by touch
+
+
+def test_blocks_rest_on_the_table_where_that_is() -> None:
+    told = Disturbance(table=(2e-3, math.radians(0.5)))
+    plants = (simulated(setup(disturbance=told, seed=seed)) for seed in range(9))
+    plant = next(one for one in plants if abs(one.table[2]) > 1e-3)
+    before = plant.sense().blocks[0].pose
+    assert np.abs(step_between(on_table(plant.table, PLACE), before)).max() < 1e-9
+    assert abs(before[2] - PLACE[2]) > 5e-4
+    plant.request(Request("place", "a", "a", PLACE))
+    after = plant.sense().blocks[0].pose
+    assert np.abs(step_between(before, after)).max() < 2e-4
+
+
+@pytest.fixture(scope="module")
+def low() -> Plan:
+    cells = wall(4, 1, 2)
+    plan = plan_cells(CellDesign("wall", cells, KIT.pitch, None, 0.0, None, "", None), KIT)
+    assert plan.complete
+    return plan
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_table_that_is_off_is_met_gently(low: Plan, seed: int) -> None:
+    told = Disturbance(table=(2e-3, math.radians(0.5)), height=3e-4)
+    noise = Noise(5e-4, math.radians(0.2), 5e-4)
+    at = Workcell("ur5e", "suction", seed=seed, noise=noise, disturbance=told)
+    found = prepare(low, at, KIT.joint_gap)
+    plant = DynamicPlant(setup_of(found.job, at))
+    assert np.abs(plant.table[:3]).max() > 1e-4
+    plan = carry_out(low, at, found=found, plant=plant)
+    assert plan.complete, plan.reason
+    assert 0 < plant.hardest <= PRESSED
+
+
+def test_a_table_that_is_not_there_is_said_to_be_missing(low: Plan) -> None:
+    at = Workcell("ur5e", "suction")
+    found = prepare(low, at, KIT.joint_gap)
+    plant = DynamicPlant(setup_of(found.job, at))
+    plant.table[2] = -8e-3
+    plan = carry_out(low, at, found=found, plant=plant)
+    assert plan.status == "incomplete"
+    assert plan.arm is not None
+    assert plan.arm.failures[0].outcome == "no-contact"
+    assert "nothing is met 4 mm below the place" in plan.arm.failures[0].detail
+    assert not plan.steps
