@@ -244,6 +244,19 @@ def test_an_order_is_found_where_there_is_one(seed: int) -> None:
         assert_every_state_stands(plan)
 
 
+def test_posts_are_not_looked_for_where_none_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Among many blocks that takes far longer than an order."""
+
+    def found(*args: object) -> None:
+        raise AssertionError("posts were looked for")
+
+    monkeypatch.setattr("learn2assemble.planning.orders.find_posts", found)
+    assert plan_assembly(script("turned_wall").turned_wall(30)).complete
+    assert plan_assembly(script("arch").arch(7), holds=1, supports="none").complete
+    with pytest.raises(AssertionError, match="looked for"):
+        plan_assembly(script("arch").arch(7))
+
+
 def test_an_arch_of_nine_stands_on_few_posts_and_they_go_again() -> None:
     plan = plan_assembly(script("arch").arch(9))
     assert_every_state_stands(plan)
