@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -21,6 +22,7 @@ from learn2assemble.planning.clearance import LEVEL, Clearance, overlap, parts_o
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.posts import find_posts
+from learn2assemble.planning.sequence import Doing, Transition, depth_first
 from learn2assemble.planning.tiling.ordering import to_assembly
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.tile import tile
@@ -410,6 +412,57 @@ def test_hands_hold_what_is_there_and_let_go_what_they_hold(
 ) -> None:
     with pytest.raises(InputError, match=message):
         replace(cantilever(), steps=tuple(steps))
+
+
+def test_props_of_the_structure_stay_until_all_of_it_stands() -> None:
+    """A prop that comes with the blocks carries the beam until its tail holds it down."""
+    prop = box_block("prop", (1.8, 0.2, 0), (2.2, 0.8, 1), prop=True)
+    assembly = cantilever()
+    plan = plan_assembly(replace(assembly, blocks=(prop, *assembly.blocks)), supports="none")
+    assert plan.complete, plan.reason
+    assert plan.assembly is not None
+    told = [(step.action, step.block) for step in plan.assembly.steps]
+    assert told[-1] == ("remove", "prop")
+    assert told.index(("place", "prop")) < told.index(("place", "beam"))
+
+
+class _Digits:
+    """Numbers of three digits, one digit after the other; only 3, 1, 2 ends well."""
+
+    first = Transition((), State(np.zeros(9, bool), np.zeros(9, bool)))
+
+    def __init__(self, tries: int, patient: bool) -> None:
+        self.tries, self.patient, self.looked = tries, patient, 0
+
+    def moves(self, last: Transition) -> Iterator[Transition]:
+        present = last.state.present
+        row = int(present.sum())
+        for digit in range(3) if row < 3 else ():
+            if row == 2 and not (present[2] and present[3] and digit == 1):
+                continue
+            self.looked += 1
+            after = last.state.change(place=[3 * row + digit])
+            yield Transition((Doing("place", 3 * row + digit),), after)
+
+    def settled(self, move: Transition) -> Transition:
+        return move
+
+    def key(self, move: Transition) -> bytes:
+        return move.state.key
+
+    def left(self, move: Transition) -> tuple[int, int]:
+        return 3 - int(move.state.present.sum()), 0
+
+
+def test_a_dead_end_is_left_by_the_last_choice_and_work_is_counted() -> None:
+    found = depth_first(_Digits(100, True), Clock(60))
+    assert found.complete
+    assert [step.block for move in found.path for step in move.steps] == [2, 3, 7]
+    few = _Digits(4, True)
+    found = depth_first(few, Clock(60))
+    assert not found.complete
+    assert few.looked == 4
+    assert len(found.path) == 2
 
 
 # ---------------------------------------------------------------- room

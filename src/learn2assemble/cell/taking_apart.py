@@ -28,6 +28,9 @@ from learn2assemble.cell.workcell import (
     WorkcellBlocks,
     try_step,
 )
+from learn2assemble.linear_programs import Clock
+from learn2assemble.planning.sequence import depth_first
+from learn2assemble.progress import silent
 from learn2assemble.robot.kinematic import KinematicCell
 
 if TYPE_CHECKING:
@@ -102,8 +105,31 @@ def plan_in_order(plan: Plan, steps: tuple[StepOf, ...]) -> Plan:
     return replace(plan, steps=made)
 
 
+class _Removals:
+    """What is taken off next of a part; rules of a search
+    (:class:`~learn2assemble.planning.sequence.OrderRules`)."""
+
+    patient = True
+
+    def __init__(self, arm: _Disassembly, part: _Subassembly) -> None:
+        self.arm, self.part, start = arm, part, frozenset(part.bricks)
+        self.first, self.tries = _TakenOff(start, ()), TRIES[0] + TRIES[1] * len(start)
+
+    def moves(self, last: _TakenOff) -> Iterator[_TakenOff]:
+        return self.arm.removals(self.part, last.present)
+
+    def settled(self, move: _TakenOff) -> _TakenOff:
+        return move
+
+    def key(self, move: _TakenOff) -> frozenset[int]:
+        return move.present
+
+    def left(self, move: _TakenOff) -> tuple[int, int]:
+        return len(move.present), 0
+
+
 class _Disassembly:
-    """Depth first over what is taken off next."""
+    """What an arm can take off, and bring back."""
 
     def __init__(
         self, job: Job, structure: BrickStructure, cell: KinematicCell, progress: Progress
@@ -121,38 +147,19 @@ class _Disassembly:
 
     def take_apart(self, part: _Subassembly) -> list[StepOf] | None:
         """The steps of building a part, or None."""
-        start = frozenset(part.bricks)
-        path: list[_TakenOff] = []
-        queue: list[Iterator[_TakenOff]] = [self._removals(part, start)]
-        seen, tries, fewest = {start}, 0, len(start) + 1
-        most = TRIES[0] + TRIES[1] * len(start)
-        while queue and tries < most:
-            removal = next(queue[-1], None)
-            tries += 1
-            if removal is None:
-                queue.pop()
-                if path:
-                    path.pop()
-                continue
-            if removal.present in seen:
-                continue
-            seen.add(removal.present)
-            path.append(removal)
-            if not removal.present:
-                return [step for one in reversed(path) for step in one.steps]
-            if len(removal.present) < fewest:
-                fewest = len(removal.present)
-                if part.beside is None:
-                    self.stuck = tuple(sorted(removal.present))
-                    self.progress(
-                        f"an order the arm can reach: {len(start) - fewest} of {len(start)} bricks"
-                    )
-            queue.append(self._removals(part, removal.present))
-        if part.beside is None and not self.stuck:
-            self.stuck = tuple(sorted(start))
+        tell = self.progress if part.beside is None else silent
+        order = depth_first(
+            _Removals(self, part),
+            Clock(math.inf),
+            lambda text: tell(f"an order the arm can reach: {text}"),
+        )
+        if order.complete:
+            return [step for one in reversed(order.path) for step in one.steps]
+        if part.beside is None:
+            self.stuck = tuple(sorted(order.last.present))
         return None
 
-    def _removals(self, part: _Subassembly, present: frozenset[int]) -> Iterator[_TakenOff]:
+    def removals(self, part: _Subassembly, present: frozenset[int]) -> Iterator[_TakenOff]:
         """What may be taken off: alone, then with what it carries."""
         over, covered = self.structure.states.over, []
         for b in (b for b in self.rank if b in present):

@@ -129,13 +129,14 @@ class FreeWays:
         blocks: where they stand.
         contacts: of them.
         depth: overlap that is rounding [m].
-        level: blocks from this one on go along the ground first.
+        level: blocks from this one on go along the ground first; other props may.
     """
 
     def __init__(
         self, blocks: Sequence[Block], contacts: Contacts, depth: float, level: int
     ) -> None:
         self.contacts, self.level = contacts, level
+        self.props = [block.prop for block in blocks]
         self._clearance = Clearance(blocks, depth)
         self._known: dict[tuple[int, bytes], bool] = {}
 
@@ -144,9 +145,9 @@ class FreeWays:
         key = block, present.tobytes()
         if key not in self._known:
             normals = self._pushing(block, present)
-            ways = ways_out(normals)
-            if block >= self.level:
-                ways = LEVEL[(LEVEL @ normals.T > -_ALONG).all(1)]
+            ways = LEVEL[(LEVEL @ normals.T > -_ALONG).all(1)] if self.props[block] else LEVEL[:0]
+            if block < self.level:
+                ways = np.concatenate([ways_out(normals), ways])
             self._known[key] = self._clearance.leaves(block, present, ways)
         return self._known[key]
 

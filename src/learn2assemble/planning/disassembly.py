@@ -52,7 +52,7 @@ class TakingApart:
         self.lattice = lattice = StudLattice(assembly.blocks, joint.pitch)
         count = len(assembly.blocks)
         self.tries = _TRIES[0] + _TRIES[1] * count
-        self.start = State(np.ones(count, bool), np.zeros(count, bool))
+        self.first = Transition((), State(np.ones(count, bool), np.zeros(count, bool)))
         self.ground = State(self.fixed, np.zeros(count, bool))
         self.lower: list[list[int]] = [[] for _ in range(count)]
         self.upper: list[list[int]] = [[] for _ in range(count)]
@@ -83,9 +83,13 @@ class TakingApart:
         """Bricks under which there is nothing to press them on."""
         return [k for k, lower in enumerate(self.lower) if not lower and not self.fixed[k]]
 
-    def left(self, state: State) -> tuple[int, int]:
+    def key(self, move: Transition) -> bytes:
+        """What is there and what is held."""
+        return move.state.key
+
+    def left(self, move: Transition) -> tuple[int, int]:
         """Bricks that are still there."""
-        return int((state.present & ~self.fixed).sum()), 0
+        return int((move.state.present & ~self.fixed).sum()), 0
 
     def settled(self, move: Transition) -> Transition:
         """The move: what is held is let go within it."""

@@ -41,21 +41,21 @@ def fewest_posts(rules: Forward, clock: Clock) -> list[Doing] | None:
         seen.add(state.key)
         if path and not _proven(rules, state, path[-1]):
             continue
-        if not any(rules.left(state)):
+        if not any(rules.missing(state)):
             return list(path)
         for done in _next(rules, state):
             after = state.change(**{done.action: [done.block]})
             if after.key not in seen:
                 more = done.action == "place" and done.block >= rules.count
-                left = sum(rules.left(after))
+                left = sum(rules.missing(after))
                 heapq.heappush(queue, (used + more, left, next(number), after, (*path, done)))
     return None
 
 
 def _next(rules: Forward, state: State) -> Iterator[Doing]:
     """What may be done next, whether it can be done or not."""
-    missing, _ = rules.left(state)
-    ready = rules.ready(Transition((), state)) if missing else []
+    missing, _ = rules.missing(state)
+    ready = list(rules.ready(Transition((), state))) if missing else []
     posts = range(rules.count, len(state.present))
     for block in ready:
         yield Doing("place", block)

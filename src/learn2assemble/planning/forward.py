@@ -18,12 +18,12 @@ from typing import Protocol
 import numpy as np
 
 from learn2assemble.planning.posts import Post
-from learn2assemble.planning.sequence import Doing, Transition
+from learn2assemble.planning.sequence import Doing, FoundOrder, Transition
 from learn2assemble.statics.laws import Law
 from learn2assemble.statics.states import State
 
 _TRIES = 4000
-"""Moves looked at before the search gives up."""
+"""Moves looked at before the search gives up, besides one for each block."""
 _TOGETHER = 3
 """Most posts that are placed at once."""
 _NEAREST = 8
@@ -73,14 +73,14 @@ class Forward:
         posts: that may be allowed; at first nothing helps.
     """
 
-    tries = _TRIES
-
     def __init__(self, site: BuildingSite, posts: Sequence[Post] = ()) -> None:
         self.site, self.laws, self.posts, self.holds = site, site.laws, posts, 0
         total = len(site.fixed)
         self.count = total - len(posts)
+        self.tries = _TRIES + total
         self.wanted = ~site.fixed & ~site.prop
         self.start = State(site.fixed.copy(), np.zeros(total, bool))
+        self.first = Transition((), self.start)
         self.end = State(self.wanted | site.fixed, np.zeros(total, bool))
         self.allowed: set[int] = set()
         """Posts that may be used."""
@@ -134,27 +134,47 @@ class Forward:
         number = self.law(state, most)
         return number is not None and all(self.laws[number].rests(state, b) for b in new)
 
-    def left(self, state: State) -> tuple[int, int]:
+    def key(self, move: Transition) -> tuple[bytes, frozenset[int]]:
+        """What is there, and what is not to come again."""
+        return move.state.key, move.gone
+
+    def left(self, move: Transition) -> tuple[int, int]:
         """Blocks that are missing, and props and hands that are still there."""
+        return self.missing(move.state)
+
+    def missing(self, state: State) -> tuple[int, int]:
+        """The same of a state."""
         missing = int((self.wanted & ~state.present).sum())
         return missing, int((state.present & self.site.prop).sum() + state.held.sum())
 
+    def stuck(self, found: FoundOrder[Transition]) -> tuple[int, ...]:
+        """What could not be placed, or not be taken away, behind an order that is not complete."""
+        state = found.last.state
+        if state.present[self.wanted].all():
+            return tuple(np.flatnonzero(state.present & self.site.prop).tolist())
+        ready = list(self.ready(found.last))
+        walled = {b: self.walled(state.change(place=[b])) for b in ready}
+        free = [b for b in ready if not walled[b]]
+        return tuple(free or sorted({p for props in walled.values() for p in props}))
+
     # ------------------------------------------------------------ moves
 
-    def ready(self, last: Transition) -> list[int]:
+    def ready(self, last: Transition) -> Iterator[int]:
         """Blocks that are missing and whose bases are there, from below."""
-        state, gone, order = last.state, last.gone, self._order
-        left = order[~state.present[order]].tolist()
-        if self.site.onward and left and [step.action for step in last.steps] == ["place"]:
-            turn = self.site.rank[last.steps[0].block]
-            some = self.site.rank[left] > turn
-            left = [*np.array(left)[some].tolist(), *np.array(left)[~some].tolist()]
-        if gone:
-            left = [b for b in left if b not in gone]
-        there, below = state.present, self.site.below
-        found = [b for b in left if all(there[k] or k in gone for k in below[b])]
-        # Stones that lie on one another in a ring have no first one.
-        return found or left
+        gone, order, there, below = last.gone, self._order, last.state.present, self.site.below
+        left = order[~there[order]]
+        if self.site.onward and [step.action for step in last.steps] == ["place"]:
+            turn = np.searchsorted(self.site.rank[left], self.site.rank[last.steps[0].block])
+            left = np.concatenate([left[turn:], left[:turn]])
+        some = [b for b in left.tolist() if b not in gone]
+        ringed = True
+        for b in some:
+            if all(there[k] or k in gone for k in below[b]):
+                ringed = False
+                yield b
+        if ringed:
+            # Stones that lie on one another in a ring have no first one.
+            yield from some
 
     def moves(self, last: Transition) -> Iterator[Transition]:
         """What may come next, the least help first."""
@@ -249,7 +269,7 @@ class Forward:
         """A move, with what is let go and taken away because nothing needs it: posts at once, props
         of the structure when all else is there."""
         state, steps, gone = move.state, [*move.steps], move.gone
-        last = not self.left(state)[0]
+        last = bool(state.present[self.wanted].all())
         some = self.site.prop.copy()
         some[: 0 if last else self.count] = False
         again = bool(some.any() or state.held.any())

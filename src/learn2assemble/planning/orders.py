@@ -24,10 +24,8 @@ from learn2assemble.planning.forward import BuildingSite, Forward
 from learn2assemble.planning.posts import find_posts
 from learn2assemble.planning.sequence import (
     Doing,
-    FoundOrder,
     Sequenced,
     Supports,
-    Transition,
     depth_first,
     list_ids,
     reported,
@@ -171,7 +169,7 @@ class _DryOrder:
         """The first complete order that is found, or the longest one."""
         found = depth_first(self.rules, self.clock, self.progress)
         steps = [step for move in found.path for step in move.steps]
-        return _Steps(steps, () if found.complete else self._stuck(found), found.complete)
+        return _Steps(steps, () if found.complete else self.rules.stuck(found), found.complete)
 
     def fewest(self, found: _Steps) -> _Steps:
         """An order with the fewest posts, where the blocks are few and nothing else helps."""
@@ -205,15 +203,6 @@ class _DryOrder:
             state = state.change(**{action: [block]})
         reason = self._why(state.present, found.stuck)
         return Sequenced(blocks, made, "not found", reason, found.stuck)
-
-    def _stuck(self, found: FoundOrder) -> tuple[int, ...]:
-        """What could not be placed, or not be taken away."""
-        present = found.state.present
-        if present[self.rules.wanted].all():
-            return tuple(np.flatnonzero(present & self.rules.site.prop).tolist())
-        return tuple(
-            self.rules.ready(found.path[-1] if found.path else Transition((), self.rules.start))
-        )
 
     def _why(self, present: np.ndarray, stuck: tuple[int, ...]) -> str:
         if self.clock.left <= 0:
@@ -310,7 +299,7 @@ class BrickOrder:
         found = depth_first(rules, clock, progress)
         if found.complete:
             return self._sequenced(rules, rules.read(found.path))
-        stuck = np.flatnonzero(found.state.present & ~rules.fixed).tolist()
+        stuck = np.flatnonzero(found.last.state.present & ~rules.fixed).tolist()
         reason = f"time ran out after {clock.limit:g} s"
         if clock.left > 0:
             names = list_ids(self.blocks, stuck)

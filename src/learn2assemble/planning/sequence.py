@@ -2,16 +2,17 @@
 
 What may come next, what is proven of the state after it, and along which ways blocks come are
 values of :class:`OrderRules`: blocks that are put down one after the other (:mod:`.forward`), or a
-finished structure that is taken apart, read backwards (:mod:`.disassembly`). A dead end is left by
+finished structure that is taken apart, read backwards (:mod:`.disassembly`, and
+:mod:`learn2assemble.cell.taking_apart` by an arm). A dead end is left by
 the last choice before it; states that led to one are not looked at again. The search stops by
 counted work, with seconds as a cap.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol
+from typing import Generic, Literal, NamedTuple, Protocol, TypeVar
 
 from learn2assemble.assembly.blocks import Block
 from learn2assemble.linear_programs import Clock
@@ -20,6 +21,7 @@ from learn2assemble.statics.states import State
 
 Action = Literal["place", "remove", "hold", "release"]
 Way = Literal["above", "below", "beside"]
+Move = TypeVar("Move")
 _FEW = 10
 """Moves up to which a search without patience tries other ones before a dead end."""
 
@@ -83,52 +85,57 @@ class Sequenced:
     """Blocks that could not be placed, or that move first."""
 
 
-class OrderRules(Protocol):
-    """What an order is, of some blocks.
+class OrderRules(Protocol[Move]):
+    """What an order is, of some blocks; a move is steps that belong together and what they leave.
 
     Attributes:
-        start: where the search begins.
+        first: where the search begins, a move without steps.
         tries: moves looked at before it gives up.
-        patient: whether dead ends are left again and again; else only early ones are.
     """
 
-    start: State
+    first: Move
     tries: int
 
     @property
-    def patient(self) -> bool: ...
+    def patient(self) -> bool:
+        """Whether dead ends are left again and again; else only early ones are."""
+        ...
 
-    def moves(self, last: Transition) -> Iterator[Transition]:
+    def moves(self, last: Move) -> Iterator[Move]:
         """What may come next, the least help first; every state of it is proven."""
         ...
 
-    def settled(self, move: Transition) -> Transition:
+    def settled(self, move: Move) -> Move:
         """A move, with what is let go or taken away at once behind it."""
         ...
 
-    def left(self, state: State) -> tuple[int, int]:
+    def key(self, move: Move) -> Hashable:
+        """Of what a move leaves: what may come next depends on it alone."""
+        ...
+
+    def left(self, move: Move) -> tuple[int, int]:
         """Blocks that are still to come, and what is still to go then; zeros where all is done."""
         ...
 
 
-class FoundOrder(NamedTuple):
+class FoundOrder(NamedTuple, Generic[Move]):
     """Of :func:`depth_first`."""
 
-    path: list[Transition]
+    path: list[Move]
     """To the end, or as far as it came."""
-    state: State
-    """After it."""
+    last: Move
+    """Of the path, or where the search began."""
     complete: bool
 
 
 def depth_first(
-    rules: OrderRules, clock: Clock, progress: Callable[[str], None] = lambda text: None
-) -> FoundOrder:
+    rules: OrderRules[Move], clock: Clock, progress: Callable[[str], None] = lambda text: None
+) -> FoundOrder[Move]:
     """The first order to the end, or the one that came farthest."""
-    path: list[Transition] = []
-    best: list[Transition] = []
-    most = fewest = rules.left(rules.start)
-    queue, seen, tries = [rules.moves(Transition((), rules.start))], set(), 0
+    path: list[Move] = []
+    best: list[Move] = []
+    most = fewest = rules.left(rules.first)
+    queue, seen, tries = [rules.moves(rules.first)], set(), 0
     while any(fewest) and queue and clock.left > 0 and tries < rules.tries:
         move = next(queue[-1], None)
         if move is None:
@@ -140,17 +147,17 @@ def depth_first(
             continue
         tries += 1
         move = rules.settled(move)
-        key = move.state.key, move.gone
+        key = rules.key(move)
         if key in seen:
             continue
         seen.add(key)
         path.append(move)
-        left = rules.left(move.state)
+        left = rules.left(move)
         if left < fewest:
             best, fewest = list(path), left
             progress(f"{most[0] - left[0]} of {most[0]} blocks in order")
         queue.append(rules.moves(move))
-    return FoundOrder(best, best[-1].state if best else rules.start, not any(fewest))
+    return FoundOrder(best, best[-1] if best else rules.first, not any(fewest))
 
 
 def reported(

@@ -24,11 +24,14 @@ from learn2assemble.statics.step_proof import (
     EDGE_INSET,
     Proof,
     Stack,
+    changed,
     lies_below,
     stack_of_contacts,
 )
 
 _LEVEL = 1 - 1e-6
+_KEPT = 2e8
+"""Bytes of forces that are kept."""
 _LARGE, _NARROW = 100, 0.75
 """Blocks from which programs are made anew, when so small a share of theirs is there."""
 
@@ -115,6 +118,8 @@ class ByLoads:
         self._before = self._told = np.zeros(len(fixed), bool)
         self._sideways = Sideways(stack, friction)
         self._rank = -1
+        self._solved: dict[bytes, np.ndarray] = {}
+        """Forces of states that took more than a local proof."""
 
     @classmethod
     def of_contacts(
@@ -146,12 +151,15 @@ class ByLoads:
     def report(self, state: State) -> tuple[str, float | None]:
         """States come in the order in which they are built."""
         placed = self._placed(state)
-        dirty = self._dirty(self._told, placed)
+        dirty = changed(self.stack, self._told, placed)
         method = self._balance(self._upright, self._told, placed)
         assert method is not None
         self._sideways.follow(dirty, placed, self._upright.force, self.clock)
         rank = int(self.stack.rank[placed & ~self._told].max(initial=-1))
-        if rank > self._rank or (method == PROGRAM and self._sideways.radius <= 0):
+        # What was taken away, and states in between that were proven otherwise, may leave more.
+        more = (self._told & ~placed).any() or (placed ^ self._told).sum() > 1
+        weak = method == PROGRAM and self._sideways.radius <= 0
+        if rank > self._rank or more or weak:
             self._rank = max(rank, self._rank)
             self._sideways.search(placed, self._upright.force, self.clock)
         self._told = placed
@@ -169,24 +177,26 @@ class ByLoads:
 
     def _balance(self, proof: Proof, before: np.ndarray, placed: np.ndarray) -> str | None:
         """How the forces of a state are made those of the next, or None where it falls."""
-        dirty = self._dirty(before, placed)
+        dirty = changed(self.stack, before, placed)
         if proof.settle(dirty, placed):
             return LOCAL
-        changing = lies_below(self.stack, np.flatnonzero(dirty).tolist(), placed)
-        for blocks in (changing, placed):
-            if proof.program(placed, blocks, self.clock.left):
-                return PROGRAM
-        return None
-
-    def _dirty(self, before: np.ndarray, placed: np.ndarray) -> np.ndarray:
-        """bool[n]: blocks to balance again."""
-        stack = self.stack
-        gone = np.flatnonzero(before & ~placed)
-        dirty = placed & ~before
-        dirty[stack.upper[np.isin(stack.lower, gone)]] = True
-        for block in gone.tolist():
-            dirty[stack.below(block)] = True
-        return dirty & placed
+        key, some = placed.tobytes(), np.flatnonzero(dirty).tolist()
+        if key in self._solved:
+            proof.force = self._solved[key].copy()
+            return PROGRAM
+        for block in some:
+            alone = np.zeros_like(placed)
+            alone[block] = True
+            # With nothing on it, a block that its own bed faces cannot balance falls for sure.
+            free = not placed[self.stack.tops[block]].any()
+            if free and proof.program(placed, alone, self.clock.left) is False:
+                return None
+        found = proof.settle(dirty, placed, mends=True)
+        for blocks in (lies_below(self.stack, some, placed), placed):
+            found = found or bool(proof.program(placed, blocks, self.clock.left))
+        if found and len(self._solved) * proof.force.nbytes < _KEPT:
+            self._solved[key] = proof.force.copy()
+        return PROGRAM if found else None
 
 
 class ByStrength:

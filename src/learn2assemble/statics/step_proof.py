@@ -336,6 +336,16 @@ class Proof:
         )
 
 
+def changed(stack: Stack, before: np.ndarray, placed: np.ndarray) -> np.ndarray:
+    """bool[n]: blocks to balance again where ``placed`` (bool[n]) stands in place of ``before``."""
+    gone = np.flatnonzero(before & ~placed)
+    dirty = placed & ~before
+    for block in gone.tolist():
+        dirty[stack.tops[block]] = True
+        dirty[stack.below(block)] = True
+    return dirty & placed
+
+
 def lies_below(stack: Stack, blocks: Iterable[int], placed: np.ndarray) -> np.ndarray:
     """bool[n]: ``blocks`` and all placed blocks that carry them."""
     return _reached(

@@ -23,13 +23,18 @@ from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
 from learn2assemble.assembly.kit import Kit
 from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import INF, Clock
+from learn2assemble.planning.forward import BuildingSite, Forward
+from learn2assemble.planning.sequence import depth_first, reported
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.tile import (
     MORE_TIME,
+    BlockPlacement,
     Tiling,
+    owners,
     placement_cells,
 )
 from learn2assemble.progress import Progress, silent
+from learn2assemble.statics.laws import ByLoads, Law
 from learn2assemble.statics.proofs import (
     BED,
     FRICTIONLESS,
@@ -40,7 +45,8 @@ from learn2assemble.statics.proofs import (
     value_range,
 )
 from learn2assemble.statics.sideways import Sideways
-from learn2assemble.statics.step_proof import Proof, Stack, lies_below
+from learn2assemble.statics.states import State
+from learn2assemble.statics.step_proof import Proof, Stack, changed
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.contacts import Contacts
@@ -114,6 +120,7 @@ class Coupled:
         self.tiling, self.kit, self.friction = tiling, kit, sorted(set(friction))
         self.law, self.gap = law, gap
         self._stiffness = 0.0
+        self._known: dict[bytes, float | None] = {}
 
     @cached_property
     def assembly(self) -> tuple[Assembly, Contacts]:
@@ -123,6 +130,26 @@ class Coupled:
         made = to_assembly(self.tiling, None, self.kit, gap=self.gap)
         contacts = find_contacts(made)
         return made, contacts if self.law == TIGHT else contacts.only(bed_patches(contacts))
+
+    def stands(self, state: State, thorough: bool = True) -> bool:
+        """As of a :class:`~learn2assemble.statics.laws.Law`; answers are kept."""
+        key = state.present.tobytes()
+        if key not in self._known:
+            self._known[key] = self.margin(state.present)
+        return self._known[key] is not None
+
+    def rests(self, state: State, block: int) -> bool:
+        return True  # What the coupled law balances is not squeezed in.
+
+    def report(self, state: State) -> tuple[str, float | None]:
+        assert self.stands(state)
+        return self.law, min(self._known[state.present.tobytes()] or 0.0, self.friction[0])
+
+    def moving(self, state: State) -> list[int]:
+        return []
+
+    def falls(self, state: State) -> bool:
+        return False  # That is not decided here.
 
     def margin(self, placed: np.ndarray) -> float | None:
         """The sideways acceleration in every direction [g] that the blocks ``placed`` (bool[n])
@@ -144,209 +171,23 @@ class Coupled:
         return worth if worth >= NO_MARGIN else None
 
 
-def _changed(
-    stack: Stack, placed: np.ndarray, block: int, place: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """``placed`` (bool[n]) with a block placed or removed, and the blocks to balance again."""
-    after, dirty = placed.copy(), np.zeros_like(placed)
-    after[block] = place
-    if place:
-        dirty[block] = True
-    else:
-        dirty[stack.tops[block]] = True
-        dirty[stack.below(block)] = True
-        dirty &= after
-    return after, dirty
+class CellWays:
+    """Ways of props among the cells of a tiling; blocks of the structure come as they may.
 
+    Args:
+        tiling: with its props.
+    """
 
-class _ProvenStack:
-    """What stands, and the forces that prove it under gravity and under sideways acceleration."""
-
-    def __init__(
-        self,
-        tiling: Tiling,
-        kit: Kit,
-        gap: float,
-        friction: float,
-        clock: Clock,
-        coupled: Coupled | None,
-    ) -> None:
-        self.blocks, self.clock, self.coupled = tiling.placements, clock, coupled
-        self.law = BED if coupled is None else coupled.law
+    def __init__(self, tiling: Tiling, kit: Kit) -> None:
+        self.blocks = tiling.placements
         self.cells = [placement_cells(block, kit) for block in self.blocks]
-        self.wanted, self.filled = tiling.wanted, np.zeros_like(tiling.wanted)
-        self.stack = stack = find_stack(self.blocks, kit, tiling.wanted.shape, gap)
-        self.placed, self.done = np.zeros((2, len(stack)), bool)  # done: or taken away again
-        self.proof, self.friction = Proof(stack), friction
-        self.sideways = Sideways(stack, friction)
-        self.timed_out = self.by_friction = False
-        self.pressed: dict[bytes, float | None] = {}
-        self.steps: list[OrderedStep] = []
+        self._owner = owners(self.blocks, kit, tiling.wanted.shape)
 
-    @property
-    def late(self) -> bool:
-        """Whether time has run out."""
-        return self.clock.left <= 0 or self.timed_out
-
-    def tell(self) -> None:
-        """How far the order has come."""
-        weakest = min((step.margin_g for step in self.steps), default=0.0)
-        self.clock.tell(
-            f"proving the order: {len(self.steps)} steps of {len(self.blocks)} blocks, the "
-            f"weakest withstands {weakest:.3f} g"
-        )
-
-    def fill(self, block: int, there: bool) -> None:
-        """Mark the cells of a block."""
-        self.filled[tuple(self.cells[block].T)] = there
-
-    def props_on(self, block: int) -> list[int]:
-        """Props that stand on a block."""
-        upper = self.stack.tops[block].tolist()
-        return [b for b in upper if self.placed[b] and self.blocks[b].prop]
-
-    def change(self, block: int, place: bool, raising: bool) -> bool:
-        """Place or remove a block where the state that this makes is proven; whether it was.
-
-        Args:
-            raising: look for larger margins than those of the state before.
-        """
-        self.tell()
-        method = self._proven(block, place)
-        if method is None:
-            return False
-        if raising:
-            self.raise_margins()
-        self.fill(block, place)
-        self.done |= self.placed
-        step = (block, None) if place else (None, block)
-        self.steps.append(OrderedStep(*step, method, self.margin()))
-        return True
-
-    def _proven(self, block: int, place: bool) -> str | None:
-        """How the state with a block placed or removed is proven; None (and no change) if it
-        falls."""
-        placed, dirty = _changed(self.stack, self.placed, block, place)
-        if self.by_friction:
-            dirty = placed.copy()  # There are no bed forces to begin with.
-        method = LOCAL if self.proof.settle(dirty, placed) else self._by_program(placed, dirty)
-        if method is None and self.coupled is not None:
-            if placed.tobytes() not in self.pressed:
-                self.pressed[placed.tobytes()] = self.coupled.margin(placed)
-            method = None if self.pressed[placed.tobytes()] is None else self.coupled.law
-        if method is None:
-            return None
-        had_friction, self.by_friction = self.by_friction, method in (BED, TIGHT)
-        self.placed = placed
-        if self.by_friction:
-            self.sideways.drop()
-        elif not had_friction:
-            self.sideways.follow(dirty, placed, self.proof.force, self.clock)
-        if had_friction or (method == PROGRAM and self.margin() <= 0):
-            self.raise_margins()
-        return method
-
-    def _by_program(self, placed: np.ndarray, dirty: np.ndarray) -> str | None:
-        for block in np.flatnonzero(dirty):
-            alone = np.zeros_like(placed)
-            alone[block] = True
-            # With nothing on it, a block that its own bed faces cannot balance falls for sure.
-            free = not placed[self.stack.tops[block]].any()
-            if free and self.proof.program(placed, alone, self.clock.left) is False:
-                return None
-        if not self.by_friction and self.proof.settle(dirty, placed, mends=True):
-            return PROGRAM
-        changing = lies_below(self.stack, np.flatnonzero(dirty).tolist(), placed)
-        for blocks in (placed,) if self.by_friction else (changing, placed):
-            found = self.proof.program(placed, blocks, self.clock.left)
-            if found:
-                return PROGRAM
-            self.timed_out |= found is None
-        return None
-
-    def margin(self) -> float:
-        """Sideways acceleration the state at least withstands in every direction [g]."""
-        if self.by_friction:
-            return min(self.pressed[self.placed.tobytes()] or 0.0, self.friction)
-        return self.sideways.radius
-
-    def raise_margins(self) -> None:
-        """Look for larger margins than those that have come down from states before."""
-        if not self.by_friction:
-            self.sideways.search(self.placed, self.proof.force, self.clock)
-
-    def place_all(self, given: bool) -> list[int]:
-        """Place everything; what is stuck, or all that is left where time ran out.
-
-        A prop that the finished building encloses is taken away before the block that would close
-        its way out; where all that is left waits for that, the props are what is stuck.
-        """
-        count = len(self.blocks)
-        below = [self.stack.below(b) for b in range(count)]
-        enclosed = [
-            b
-            for b in range(count)
-            if self.blocks[b].prop and not way_out(self.wanted, self.cells[b])
-        ]
-        left, level = list(range(count)), 0
-        if not given:
-            left.sort(key=lambda b: (self.blocks[b].origin[::-1], b))
-        waits: dict[int, list[int]] = {}
-        # Props are kept as long as anything else can be placed.
-        freeing = False
-        while left:
-            before = len(left)
-            for b in list(left):
-                if self.late:
-                    return left
-                if not self.done[below[b]].all() or (freeing and not waits.get(b)):
-                    continue
-                self.fill(b, True)
-                waits[b] = self.trapped(enclosed)
-                self.fill(b, False)
-                if waits[b] and freeing:
-                    waits[b] = self.remove(waits[b])
-                high = self.blocks[b].origin[2]
-                if not waits[b] and self.change(b, True, high > level):
-                    level = max(level, high)
-                    left.remove(b)
-                    if freeing:
-                        break
-            if len(left) == before and freeing:
-                break
-            freeing = len(left) == before
-        ready = [b for b in left if self.done[below[b]].all()] or left
-        held = {p for b in ready for p in waits.get(b, ())}
-        return [b for b in ready if not waits.get(b)] or sorted(held)
-
-    def trapped(self, props: list[int]) -> list[int]:
-        """Those of ``props`` that stand and that the structure walls in, and the props on them."""
-        there = [p for p in props if self.placed[p]]
-        if not there:
-            return []
-        structure = self.filled.copy()
-        structure[tuple(np.concatenate([self.cells[p] for p in there]).T)] = False
-        found = [p for p in there if not way_out(structure, self.cells[p])]
-        for p in found:
-            found += [a for a in self.props_on(p) if a not in found]
-        return found
-
-    def remove(self, props: list[int]) -> list[int]:
-        """Take props away, from above; those that cannot be."""
-        left = sorted(
-            (b for b in props if self.placed[b]),
-            key=lambda b: (-self.blocks[b].origin[2], self.blocks[b].origin),
-        )
-        before = None
-        while left != before:
-            before = list(left)
-            for b in before:
-                if self.late:
-                    return left
-                free = not self.props_on(b) and leaves(self.filled, self.cells[b])
-                if free and self.change(b, False, True):
-                    left.remove(b)
-        return left
+    def free(self, block: int, present: np.ndarray) -> bool:
+        """Whether a block can be moved out from among those that are there (bool[n])."""
+        if not self.blocks[block].prop:
+            return True
+        return leaves(np.append(present, False)[self._owner], self.cells[block])
 
 
 def order(
@@ -379,23 +220,44 @@ def order(
     limit = min(kit.pitch[:2]) / 2
     if widest >= limit:
         raise InputError("gap", widest, f"less than half the pitch, {limit:g} m")
-    blocks = tiling.placements
-    coupled = None if law == FRICTIONLESS else Coupled(tiling, kit, ends, law, widest)
-    site = _ProvenStack(tiling, kit, widest, ends[0], clock, coupled)
-    stuck = site.place_all(given) or site.remove([b for b in range(len(blocks)) if blocks[b].prop])
-    stuck.sort(key=lambda b: blocks[b].prop)
-    steps, status, reason, falls = site.steps, "complete", "", ()
-    if stuck and site.late:
-        status, stuck = "time", []
+    blocks, count = tiling.placements, len(tiling.placements)
+    stack, nothing = find_stack(blocks, kit, tiling.wanted.shape, widest), np.zeros(count, bool)
+    loads = ByLoads(stack, nothing, ends[0], clock)
+    laws: list[Law] = [loads]
+    if law != FRICTIONLESS:
+        laws.append(Coupled(tiling, kit, ends, law, widest))
+    below = [stack.below(b).tolist() for b in range(count)]
+    turns = sorted(range(count), key=lambda b: (blocks[b].origin[::-1], b))
+    site = BuildingSite(
+        fixed=nothing,
+        prop=np.array([block.prop for block in blocks], bool),
+        near=[[*below[b], *stack.tops[b].tolist()] for b in range(count)],
+        below=below,
+        rank=np.arange(count) if given else np.argsort(turns),
+        laws=laws,
+        ways=CellWays(tiling, kit),
+        onward=True,
+    )
+    rules = Forward(site)
+    found = depth_first(rules, clock, lambda text: clock.tell(f"looking for an order: {text}"))
+    doings, steps = [doing for move in found.path for doing in move.steps], []
+    for step in reported(laws, rules.law, rules.start, doings):
+        place, remove = (step.block, None) if step.action == "place" else (None, step.block)
+        steps.append(OrderedStep(place, remove, step.proof, step.margin_g or 0.0))
+        _tell(clock, steps, count)
+        if clock.left <= 0:
+            break
+    status, reason, falls, stuck = "complete", "", (), []
+    if clock.left <= 0 and not (found.complete and len(steps) == len(doings)):
+        status = "time"
         reason = f"time ran out after {seconds:g} s with {len(steps)} steps proven; {MORE_TIME}"
-    elif stuck:
-        status, reason = "not found", _why_stuck(site, stuck[0])
+    elif not found.complete:
+        stuck = sorted(rules.stuck(found), key=lambda b: blocks[b].prop)
+        status, reason = "not found", _why_stuck(blocks[stuck[0]], stuck[0], found.last.state, law)
         if not blocks[stuck[0]].prop:
-            placed = site.placed.copy()
-            placed[stuck[0]] = True
-            falls = tuple(site.proof.held(placed, clock.left))
-    if status == "complete" and len(blocks) <= _FIRM_BLOCKS:
-        _firm(site)
+            falls = tuple(loads.moving(found.last.state.change(place=stuck[:1])))
+    if status == "complete" and count <= _FIRM_BLOCKS:
+        _firm(steps, stack, ends[0], clock)
     margin = min((step.margin_g for step in steps), default=0.0)
     rubs = any(step.proof in (BED, TIGHT) for step in steps)
     gaps = (0.0, widest)
@@ -414,31 +276,40 @@ def order(
     )
 
 
-def _firm(site: _ProvenStack) -> None:
+def _tell(clock: Clock, steps: list[OrderedStep], count: int) -> None:
+    """How far the order has come."""
+    weakest = min((step.margin_g for step in steps), default=0.0)
+    clock.tell(
+        f"proving the order: {len(steps)} steps of {count} blocks, the weakest withstands "
+        f"{weakest:.3f} g"
+    )
+
+
+def _firm(steps: list[OrderedStep], stack: Stack, friction: float, clock: Clock) -> None:
     """Look again, by programs, for the margins of the weakest steps that bed faces carry."""
     for _ in range(_FIRMED):
-        site.tell()
-        weakest = min(range(len(site.steps)), key=lambda n: site.steps[n].margin_g)
-        step = site.steps[weakest]
-        if step.margin_g >= _WEAK or step.proof not in (LOCAL, PROGRAM) or site.late:
+        _tell(clock, steps, len(stack))
+        weakest = min(range(len(steps)), key=lambda n: steps[n].margin_g)
+        step = steps[weakest]
+        if step.margin_g >= _WEAK or step.proof not in (LOCAL, PROGRAM) or clock.left <= 0:
             break
-        placed = np.zeros(len(site.stack), bool)
-        for done in site.steps[: weakest + 1]:
+        placed = np.zeros(len(stack), bool)
+        for done in steps[: weakest + 1]:
             placed[done.block] = done.place is not None
-        sideways = Sideways(site.stack, site.friction)
-        sideways.firm(placed, site.clock)
+        sideways = Sideways(stack, friction)
+        sideways.firm(placed, clock)
         if sideways.radius <= step.margin_g:
             break
-        site.steps[weakest] = replace(step, margin_g=sideways.radius)
+        steps[weakest] = replace(step, margin_g=sideways.radius)
 
 
-def _why_stuck(site: _ProvenStack, number: int) -> str:
+def _why_stuck(block: BlockPlacement, number: int, state: State, law: str) -> str:
     """Why a block cannot be placed, or a prop not be taken away, in one line."""
-    block = site.blocks[number]
     name = f"{'prop' if block.prop else 'block'} {block.kind} at {block.origin}"
     if not block.prop:
-        return f"{name} does not stand: nothing balances it on {site.law}"
-    if not site.placed[number]:
+        carries = BED if law == FRICTIONLESS else law
+        return f"{name} does not stand: nothing balances it on {carries}"
+    if not state.present[number]:
         return f"{name} can only be placed where it would be walled in"
     return f"{name} cannot be taken away: it is walled in, or what it carries would fall"
 
@@ -493,7 +364,9 @@ def _holds(tiling: Tiling, kit: Kit, steps: list[OrderedStep], gap: float, clock
     stack = find_stack(tiling.placements, kit, tiling.wanted.shape, gap)
     proof, placed = Proof(stack), np.zeros(len(stack), bool)
     for step in steps:
-        placed, dirty = _changed(stack, placed, step.block, step.place is not None)
+        before, placed = placed, placed.copy()
+        placed[step.block] = step.place is not None
+        dirty = changed(stack, before, placed)
         if not proof.settle(dirty, placed) and not proof.settle(dirty, placed, mends=True):
             proof = Proof(stack)  # Forces from nothing are spread, which leaves room for the next.
             if not proof.program(placed, placed, clock.left):
