@@ -14,9 +14,10 @@ import learn2assemble as l2a
 from brick_data import bricks
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, box_block
 from learn2assemble.assembly.bricks.lattice import GROUND, StudLattice
-from learn2assemble.assembly.files import read_assembly
+from learn2assemble.assembly.files import read_assembly, write_assembly
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError
+from learn2assemble.export.cards import step_cards
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.statics.holding import Push, balance_of
@@ -203,6 +204,23 @@ def test_wrong_help_is_refused() -> None:
         plan_assembly(BRIDGE, supports="posts")
     with pytest.raises(InputError, match="given blocks for posts and holds"):
         l2a.build(np.ones((2, 2, 2), bool), hands=True)
+
+
+def test_cards_say_whence_a_brick_comes(tmp_path: Path) -> None:
+    # A brick that hangs on the last one, and is pressed on it from below.
+    hook = bricks(
+        ((2, 2), (0, 0, 0)), ((2, 2), (0, 0, 1)), ((2, 6), (0, 0, 2)), ((2, 2), (0, 4, 1))
+    )
+    plan = plan_assembly(hook, hands=True)
+    assert plan.assembly is not None
+    ways = [step.way for step in plan.assembly.steps if step.action == "place"]
+    assert ways.count("below") + ways.count("beside") >= 1
+    cards = step_cards(plan.assembly)
+    assert "comes from below" in cards or "built beside" in cards
+    write_assembly(plan.assembly, tmp_path / "hook.json")
+    assert read_assembly(tmp_path / "hook.json").steps == plan.assembly.steps
+    with pytest.raises(InputError, match="way"):
+        AssemblyStep(place="b1", way="under")  # pyright: ignore[reportArgumentType]
 
 
 def test_the_command_line_builds_brick_text(

@@ -16,7 +16,7 @@ import numpy as np
 
 from learn2assemble.assembly.joints import DRY, Joint, JointOf, joint_of_json, joints_of_json
 from learn2assemble.assembly.values import Colour, coordinates
-from learn2assemble.errors import InputError, is_number
+from learn2assemble.errors import InputError, check_name, is_number
 from learn2assemble.geometry.hulls import convex_hull
 from learn2assemble.values import By
 
@@ -145,6 +145,8 @@ class AssemblyStep:
         hold: the block, in its place, that a hand holds from now on.
         release: the block that the hand lets go.
         by_hand: whether a person does it while an arm waits; None where all is done alike.
+        way: of a brick that clutches and does not come from above: ``"below"``; ``"beside"``, it
+            is built on another one beside, and brought with it.
     """
 
     place: str | None = None
@@ -152,12 +154,15 @@ class AssemblyStep:
     hold: str | None = None
     release: str | None = None
     by_hand: bool | None = None
+    way: Literal["below", "beside"] | None = None
 
     def __post_init__(self) -> None:
         given = [self.place, self.remove, self.hold, self.release]
         if sum(id_ is not None for id_ in given) != 1:
             expected = "one block, to place, remove, hold or release"
             raise InputError("step", tuple(id_ for id_ in given if id_ is not None), expected)
+        if self.way is not None:
+            check_name("step: way", self.way, ("below", "beside"))
 
     @property
     def action(self) -> Action:

@@ -115,9 +115,20 @@ def action_words(action: Action, block: str) -> str:
     return f"Let go of {block}"
 
 
+_WAYS = {
+    "below": "It comes from below and is pressed up.",
+    "beside": "It is built beside, with the blocks of the steps next to it, and brought with them.",
+}
+"""What is said of a brick that does not come from above."""
+
+
 def hand_words(placement: Placement) -> str:
-    """What is said of a step that a person does while an arm waits; empty of any other."""
-    return "By hand, while the arm waits." if placement.by_hand else ""
+    """What is said of a step that a person does while an arm waits, and of a brick that does not
+    come from above; empty of any other."""
+    words = ["By hand, while the arm waits."] if placement.by_hand else []
+    if placement.way is not None:
+        words.append(_WAYS[placement.way])
+    return " ".join(words)
 
 
 def corner_words(shape: BlockShape) -> str:

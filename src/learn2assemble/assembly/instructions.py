@@ -104,6 +104,8 @@ class Placement:
     prop: bool = False
     by_hand: bool = False
     """Whether a person does it while an arm waits."""
+    way: str | None = None
+    """Whence a brick comes that does not come from above: ``below`` or ``beside``."""
 
     @property
     def leans(self) -> bool:
@@ -255,11 +257,13 @@ def _groups(
         if not layers or height > layers[-1] + 1e-4:
             layers.append(height)
     by_hand = {number for number, step in enumerate(assembly.steps, 1) if step.by_hand}
+    ways = {number: step.way for number, step in enumerate(assembly.steps, 1) if step.way}
     together: list[list[tuple[int, int, Action]]] = []
     free = False
     for number, (index, action) in enumerate(steps, 1):
         block = assembly.blocks[index]
-        alone = action != "place" or block.prop or number in by_hand or not upright[index]
+        alone = action != "place" or block.prop or number in by_hand or number in ways
+        alone = alone or not upright[index]
         last = together[-1][-1][1] if together else index
         joins = free and not alone and abs(heights[index] - heights[last]) <= 1e-4
         if joins and len(together[-1]) < MOST_TOGETHER:
@@ -273,7 +277,9 @@ def _groups(
         layer = int(np.searchsorted(np.array(layers) - 1e-9, height, side="right"))
         placements = tuple(
             replace(
-                shapes.placement(index, at, assembly.blocks[index], action), by_hand=at in by_hand
+                shapes.placement(index, at, assembly.blocks[index], action),
+                by_hand=at in by_hand,
+                way=ways.get(at),
             )
             for at, index, action in members
         )

@@ -180,6 +180,7 @@ def carried_out(
         AssemblyStep(
             **{"remove" if s.remove else "place": plan.assembly.blocks[s.block].id},
             by_hand=step.by_hand or None,
+            way="beside" if step.way == "beside" else None,
         )
         for s, step in zip(done, steps, strict=True)
     )

@@ -214,6 +214,7 @@ def _card(common: _Common, group: Group, standing: set[int]) -> Card:
         low, high = scene.low[p.block], scene.high[p.block]
         top = project(np.array([*(low + high)[:2] / 2, high[2]]))
         way = _way_out(scene, p.block, standing) if p.prop else _WAYS[0]
+        way = -_WAYS[0] if p.way == "below" else way
         middle = project((low + high) / 2)
         outside = middle + project(way) * 1.6 * length
         if p.action == "remove":
@@ -258,8 +259,8 @@ def _words(
             f"Layer {group.layer} of {layers}, from {length_words(group.level)} mm up. Block "
             f"{numbers[0]}: {place_words(first)}."
         )
-    if first.by_hand:
-        words.append(hand_words(first))
+    if told_of := hand_words(first):
+        words.append(told_of)
     if first.action == "remove":
         words.append("Take the prop away; nothing else may move.")
     elif first.action != "place":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,9 @@ def plan_of(
         if step.action in ("place", "remove"):
             present[step.block] = step.action == "place"
         covered = float((present & wanted).sum()) / max(int(wanted.sum()), 1)
-        made.append(AssemblyStep(**{step.action: block.id}))
+        way = None if step.way == "above" else step.way
+        done: dict[str, Any] = {step.action: block.id}
+        made.append(AssemblyStep(**done, way=way))
         steps.append(
             replace(
                 plans.block_step(number, step.block, block, step.action, covered).with_proof(

@@ -103,8 +103,8 @@ class Noted(NamedTuple):
             text = f"{self.action.capitalize()} {name}, layer {part.layer + 1}."
         else:
             text = f"{action_words(self.action, f'block {part.block.id}')}."
-        if self.placement.by_hand:
-            text += f" {hand_words(self.placement)}"
+        if told := hand_words(self.placement):
+            text += f" {told}"
         if self.held:
             text += f" Still in a hand: {', '.join(self.held)}."
         if note.proof:
