@@ -10,7 +10,7 @@ import pytest
 
 from l2a_lab import structures as figures
 from l2a_lab.measured import measure
-from l2a_lab.states import every, largest_moves, opened, states_of, upright
+from l2a_lab.states import count_states, every, largest_moves, opened, states_of, upright
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, box_block
 from learn2assemble.cli import main
 
@@ -63,6 +63,7 @@ def pair() -> Assembly:
 
 def test_states_have_props_as_blocks_and_what_is_held_as_supports() -> None:
     states = list(states_of(pair()))
+    assert count_states(pair()) == len(states)
     assert [[b.id for b in state.blocks] for state in states] == [["p"], ["b", "p"], ["b"], ["b"]]
     assert [[b.support for b in state.blocks] for state in states] == [
         [False],

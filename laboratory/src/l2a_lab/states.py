@@ -32,8 +32,7 @@ def states_of(assembly: Assembly) -> Iterator[Assembly]:
     for number, step in enumerate(assembly.steps):
         known = held if step.action in ("hold", "release") else there
         (known.add if step.action in ("place", "hold") else known.remove)(step.block)
-        after = assembly.steps[number + 1 : number + 2]
-        if after and after[0].hold == step.block:
+        if _held_next(assembly, number):
             continue
         blocks = tuple(
             replace(block, prop=False, support=block.support or block.id in held)
@@ -41,6 +40,17 @@ def states_of(assembly: Assembly) -> Iterator[Assembly]:
             if block.id in there
         )
         yield replace(assembly, blocks=blocks, steps=(), not_built=())
+
+
+def count_states(assembly: Assembly) -> int:
+    """How many :func:`states_of` an assembly gives, which takes time where there are thousands."""
+    return sum(not _held_next(assembly, number) for number in range(len(assembly.steps)))
+
+
+def _held_next(assembly: Assembly, number: int) -> bool:
+    """Whether the step after that of a number, from 0, holds the same block."""
+    after = assembly.steps[number + 1 : number + 2]
+    return bool(after) and after[0].hold == assembly.steps[number].block
 
 
 def upright(normals: np.ndarray) -> np.ndarray:

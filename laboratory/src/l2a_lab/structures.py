@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from l2a_lab.fewest_posts import fewest_posts, random_assembly
 from l2a_lab.measured import Figures, Result
-from l2a_lab.states import GAP, every, largest_moves, states_of
+from l2a_lab.states import GAP, count_states, every, largest_moves
 from l2a_lab.states import SECONDS as SIMULATED
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.cuts import POST
@@ -170,7 +170,7 @@ def _planned(assembly: Assembly, holds: int = 0) -> tuple[Plan, Result]:
         "blocks": len(assembly.blocks),
         "placed": plan.blocks.used,
         "steps": len(plan.steps),
-        "states": sum(1 for _ in states_of(made)),
+        "states": count_states(made),
         "seconds": round(seconds, 3),
         "posts": len({block for _, block in posts}),
         "posts_at_once": _most([action for action, _ in posts], "place", "remove"),
