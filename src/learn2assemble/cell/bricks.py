@@ -165,8 +165,14 @@ class BrickStates:
             found.pull * self.joint.capacity,
             (u, v),
             tuple((float(p), float(q)) for p, q in (found.corners - middle) * stud),
+            (_point((first - corner - middle) * stud), _point((last - corner - middle) * stud)),
             False,
         )
+
+
+def _point(at: np.ndarray) -> tuple[float, float]:
+    x, y = at.tolist()
+    return x, y
 
 
 class BrickStructure(Structure):

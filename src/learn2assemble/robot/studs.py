@@ -26,6 +26,8 @@ class StudJoint(NamedTuple):
     """Of these pulls, from the centre of the upper cell [m]."""
     hull: tuple[Point, ...]
     """Corners of the hull of the contact points, counter-clockwise, from there [m]."""
+    face: tuple[Point, Point]
+    """Smallest and largest corner of where the two faces meet, from there [m]."""
     home: bool
 
 

@@ -9,7 +9,9 @@ attack
 
 .. math:: (-M_y + \sum T x,\; M_x + \sum T y) / N
 
-is in the hull of the contact points. Beyond, it opens, for good.
+is in the hull of the contact points. A load that presses where the faces meet is borne by them,
+too: which of several joints bears it is not a matter of choice here, as it is in a proof. Beyond,
+the joint opens, for good.
 
 A joint that is home is a weld without give, which bears the load with the contact of the faces.
 Capacities are those of the kit: 0.70 N a contact point (measured by others on small bricks; 0.98 N
@@ -55,7 +57,13 @@ def holds(joint: StudJoint, force: np.ndarray, couple: np.ndarray) -> bool:
         force: float64[3] on its upper brick [N], in the directions of the lattice.
         couple: float64[3] about the middle of the lower side of that [N m].
     """
-    push = float(force[2]) + joint.pull
+    load, push = float(force[2]), float(force[2]) + joint.pull
+    if load > 0:
+        # What presses within the faces is borne by them.
+        at = np.array([-couple[1], couple[0]]) / load
+        low, high = np.array(joint.face)
+        if (at >= low - EDGE).all() and (at <= high + EDGE).all():
+            return True
     if push <= 0:
         return False
     at = np.array([-couple[1], couple[0]]) + joint.pull * np.array(joint.middle)
