@@ -46,6 +46,8 @@ class FakeController:
         self.lock = threading.RLock()
         self.most_share: list[float] = []
         """Of the speeds of the arm that were used."""
+        self._carried = 0.0
+        """How long something has hung on the cup [s]."""
         self._armed: list[tuple[float, str, dict[str, Any]]] = []
         self._plan: list[tuple[float, str, dict[str, Any]]] = []
 
@@ -102,7 +104,12 @@ class FakeController:
             self._plan += [(self.time + after, *rest) for after, *rest in self._armed]
             self._plan.sort(key=lambda one: one[0])
             self._armed.clear()
+        if self.world.held is None:
+            self._carried = 0.0
+        self._carried += CYCLE
         while self._plan and self._plan[0][0] <= self.time:
+            if self._plan[0][1] == "drop" and self._carried < 0.5:
+                break  # It has to hang there first.
             _, what, given = self._plan.pop(0)
             self.tell({"op": what, **given})
 
@@ -130,7 +137,9 @@ class FakeController:
                 self.jump += said["by"]
             elif op == "stand":
                 self.arm = get_arm(self.arm.name, "suction", tuple(said["base"]))
+                stiff = self.world.stiff
                 self.world = KinematicWorld(self.arm)
+                self.world.stiff = stiff
                 self.joints = np.array(said["joints"], float)
             elif op == "joints":
                 self.joints = np.array(said["joints"], float)
@@ -146,6 +155,7 @@ class FakeController:
                 "speed": float(np.abs(self.velocity).max()),
                 "share": max(self.most_share, default=0.0),
                 "held": world.held,
+                "odd": world.odd,
                 "vacuum": self.vacuum,
                 "poses": {name: pose.tolist() for name, pose in world.pose.items()},
                 "ports": self.ports,

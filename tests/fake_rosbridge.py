@@ -32,6 +32,8 @@ class FakeRosbridge(FakeController):
         self.since = 0.0
         self._open: dict[socket.socket, set[str]] = {}
         self._last = 0.0
+        # Whoever looks at forces over a network needs something soft.
+        self.world.stiff = 1e4
         listener = socket.create_server((host, 0))
         self.ports["bridge"] = listener.getsockname()[1]
         threading.Thread(target=self._accept, args=(listener,), daemon=True).start()

@@ -11,9 +11,11 @@ from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matr
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import forward, get_chain
 
-STIFF, DEEPEST, BESIDE = 1e5, 0.01, 1e-3
-"""Of what is pressed on something [N/m]; deeper it is beside it, not on it [m]; and so is what
-overlaps it by less [m]."""
+STIFF = 1e5
+"""Of what is pressed on something [N/m]."""
+DEEPEST, BESIDE = 0.01, 1e-3
+"""What is deeper in something is beside it, not on it [m]; and so is what overlaps it by less
+[m]."""
 CLOSE = 0.004
 """A cup so near to a face takes hold of it [m]."""
 
@@ -30,14 +32,21 @@ class KinematicWorld:
         self.half: dict[str, np.ndarray] = {}
         self.pose: dict[str, np.ndarray] = {}
         self.held: str | None = None
-        self.on = False
+        self.odd: list[str] = []
+        """What cannot be in a real cell."""
+        self.stiff = STIFF
         self.force = 0.0
         """Upwards on what is held [N]."""
         self._in_hand = np.eye(3), np.zeros(3)
         self._boxes: dict[str, tuple[np.ndarray, np.ndarray]] = {}
 
     def present(self, name: str, half: Any, pose: Any) -> None:
-        """A block is on the table."""
+        """A block is on the table; not where another one is, and not one that is elsewhere."""
+        there = np.array(pose, float)
+        for other, known in self.pose.items():
+            near = float(np.linalg.norm(known[:3] - there[:3])) < CLOSE
+            if (other == name) != near:
+                self.odd.append(f"{name} is presented, and {other} is at {known[:3].tolist()}")
         self.half[name], self.pose[name] = np.array(half, float), np.array(pose, float)
         self._boxes.pop(name, None)
 
@@ -47,13 +56,14 @@ class KinematicWorld:
         self.held = None if self.held == name else self.held
 
     def drop(self) -> None:
-        """What hangs on the cup falls off, though that is still on."""
-        self.held, self.on, self.force = None, True, 0.0
+        """What hangs on the cup falls off, though that is still on, and rolls out of sight."""
+        if self.held is not None:
+            self.pose.pop(self.held)
+        self.held, self.force = None, 0.0
 
     def advance(self, joints: np.ndarray, vacuum: bool) -> None:
         """The arm is there now, and its vacuum on or off."""
-        if self.held is None and (not vacuum or self.on):
-            self.on = vacuum
+        if self.held is None and not vacuum:
             return
         position, turn = forward(self.chain, joints)
         self.force = 0.0
@@ -62,10 +72,10 @@ class KinematicWorld:
             self.pose[self.held] = np.concatenate(
                 [position + turn @ offset, matrix_quaternion(turn @ inner)]
             )
-            self.force = STIFF * self._depth(self.held)
+            self.force = self.stiff * self._depth(self.held)
             if not vacuum:
                 self.held, self.force = None, 0.0
-        elif vacuum and not self.on:
+        elif vacuum:
             self.held = self._under(position)
             if self.held is not None:
                 pose = self.pose[self.held]
@@ -73,7 +83,6 @@ class KinematicWorld:
                     turn.T @ quaternion_matrix(pose[3:]),
                     turn.T @ (pose[:3] - position),
                 )
-        self.on = vacuum
 
     def _depth(self, name: str) -> float:
         """By how much a block is in the table or in what it is lowered on [m]."""

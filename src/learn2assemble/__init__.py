@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from learn2assemble.export.formats import export_assembly
     from learn2assemble.export.robot_programs import export_program, replay_program
     from learn2assemble.jobs.build import build, reach
+    from learn2assemble.jobs.run import Ran, run
+    from learn2assemble.motion.plant import Surroundings
     from learn2assemble.planning.plan import Plan, Step, load_plan
     from learn2assemble.robot.arm import get_arm
     from learn2assemble.robot.registry import register_arm, register_tool
@@ -62,6 +64,8 @@ _HOME = {
     "tasks.networks.config": "NetworkConfig register_network",
     "statics.rigid_blocks": "Check check",
     "jobs.build": "build reach",
+    "jobs.run": "Ran run",
+    "motion.plant": "Surroundings",
     "planning.plan": "Plan Step load_plan",
     "cell.calibrate": "calibrate",
     "cell.site": "Site",
@@ -98,11 +102,13 @@ __all__ = [
     "Learner",
     "NetworkConfig",
     "Plan",
+    "Ran",
     "SearchConfig",
     "Shape",
     "Simulator",
     "Site",
     "Step",
+    "Surroundings",
     "Task",
     "TrainConfig",
     "TrainingRun",
@@ -132,6 +138,7 @@ __all__ = [
     "register_task",
     "register_tool",
     "replay_program",
+    "run",
     "train",
     "write_assembly",
 ]

@@ -37,7 +37,7 @@ from learn2assemble.cell.workcell import (
     named,
     rows_of,
 )
-from learn2assemble.motion.plant import Checked, Plant, PlantError, Request, standing
+from learn2assemble.motion.plant import Checked, Plant, PlantError, Request, Stop, standing
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Move, Outcome, carried
 
@@ -49,6 +49,7 @@ GONE = 0.02
 """A block farther from its place than this is not in its place any more [m]."""
 SAME_JOINTS = 1e-3
 """Drives stray by less from where they were told to be [rad]."""
+PAUSED = "paused"
 OLDEST = 2.0
 """Readings that are older are not used [s]."""
 
@@ -104,20 +105,32 @@ class Building:
         self.sight = Sight(self.plant, arm, self.world, workcell.touch)
         self.sight.pause = self._pause
         self.attempts = Attempts(self.job, self.plant, self.sight, self.recorded)
+        self.stopped = Stop.END
+        """Why the plant ended the build, where it did."""
         self.joints = self._where(arm.home)
         self.recording = Recording(self.world, self.joints, words)
         self._resume()
 
     # ------------------------------------------------------------ going on
 
-    def run(self, progress: Progress = lambda text: None) -> str | None:
-        """Until everything is done; why not, in words, where it cannot be."""
+    def run(
+        self,
+        progress: Progress = lambda text: None,
+        go_on: Callable[[Action], bool] = lambda action: True,
+    ) -> str | None:
+        """Until everything is done; why not, in words, where it cannot be.
+
+        Args:
+            progress: is told what came of every attempt.
+            go_on: asked before every attempt; where it says no, the build pauses.
+        """
         try:
-            return self._run(progress)
+            return self._run(progress, go_on)
         except PlantError as error:
+            self.stopped = error.stop
             return str(error)
 
-    def _run(self, progress: Progress) -> str | None:
+    def _run(self, progress: Progress, go_on: Callable[[Action], bool]) -> str | None:
         if not self.known.done:
             self._look()
         most = 2 * len(self.known.order) + 20
@@ -125,6 +138,8 @@ class Building:
             action = self.known.choose()
             if not isinstance(action, Action):
                 return action
+            if not go_on(action):
+                return PAUSED
             if not self.act(action):
                 continue
             last = self.known.done[-1]
@@ -167,14 +182,24 @@ class Building:
         placing = action.what in PLACING
         studs = self.known.structure.joints_of(world, rows, placing, action.group)
         rows = rows._replace(scene=rows.scene._replace(studs=studs))
-        came = self.attempts.carry_out(rows, move, k, self.joints)
+        lost: PlantError | None = None
+        try:
+            came = self.attempts.carry_out(rows, move, k, self.joints)
+        except PlantError as error:
+            lost, came = error, self._interrupted(rows, move, k, error)
         self._come_home(action, rows, came.reached and placing)
         came = came._replace(detail=named(came.detail, rows, world))
         self._record(action, rows, move, came)
         self.joints = came.joints
         self.sight.pause = self._pause
-        self._look(k, action.group)
-        self._update(action, came)
+        try:
+            if lost is None:
+                self._look(k, action.group)
+        except PlantError as error:
+            lost = error
+        if lost is not None:
+            self._believe(k)
+        self._update(action, came, lost is None)
         self.known.done.append(
             Done(
                 len(self.known.done) + 1,
@@ -189,7 +214,31 @@ class Building:
         self.known.fails[key] = 0 if came.reached else self.known.fails[key] + 1
         self.known.refused.clear()
         self._append()
+        if lost is not None:
+            raise lost
         return True
+
+    def _interrupted(self, rows: Rows, move: Move, k: int, error: PlantError) -> Came:
+        """What came of an attempt that the plant has ended, as far as it is known: what was in the
+        hand is not, for somebody has to take it out; what was let go is where that was."""
+        name, held = self.world.names[k], self.sight.held is not None
+        if held:
+            self.sight.held = None
+            self.sight.belief.forget(name)
+        known, outcome = self.sight.belief.known.get(name), Outcome.GRASP_LOST
+        if known is not None:
+            row = rows.scene.position[move.cell]
+            near = np.linalg.norm(known.pose[:3] - row) < np.linalg.norm(row - move.target) / 2
+            outcome = Outcome.GRASP_LOST if near else Outcome.REACHED
+        outcome = Outcome.DROPPED if held else outcome
+        return Came(outcome, "", f"interrupted: {error.why}", self.joints)
+
+    def _believe(self, k: int) -> None:
+        """Blocks are where they are believed to be, as nobody can look."""
+        self.sight.write()
+        known = self.sight.belief.known.get(self.world.names[k])
+        if known is not None:
+            self.world.pose[k] = known.pose
 
     def _by_hand(self, action: Action) -> bool:
         """A step is done by hand: the block is where it shall be, or gone."""
@@ -305,8 +354,12 @@ class Building:
         if k is not None and not self.sight.unknown(k):
             world.pose[k] = self.sight.belief.known[world.names[k]].pose
 
-    def _update(self, action: Action, came: Came) -> None:
-        """Which block is where now, as far as it was seen."""
+    def _update(self, action: Action, came: Came, asks: bool = True) -> None:
+        """Which block is where now, as far as it was seen.
+
+        Args:
+            asks: whether a magazine can be asked to take a block back.
+        """
         world, k = self.world, action.block
         placing = action.what in PLACING
         if came.reached and action.what == "attach":
@@ -314,7 +367,7 @@ class Building:
         if came.reached and not placing:
             back = action.source is not None and world.job.sources[action.source].magazine
             extra = k >= len(self.job.pieces)
-            if back or action.what == "remove":
+            if asks and (back or action.what == "remove"):
                 self._take_back(k)
             gone = action.what == "remove" or (back and extra)
             world.state[k] = RETURNED if gone else LOST if extra else STOCK if back else LOOSE
@@ -338,7 +391,12 @@ class Building:
             ):
                 world.state[n] = STANDING
                 self.known.accepted.discard(n) if n == k else None
-            elif n == k and action.source is not None and self._still_there(n, action.source):
+            elif (
+                asks
+                and n == k
+                and action.source is not None
+                and self._still_there(n, action.source)
+            ):
                 world.state[n] = STOCK
                 world.used[action.source] -= 1
                 self._take_back(n)

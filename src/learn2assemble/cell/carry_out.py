@@ -119,7 +119,7 @@ def carry_out(
         kept = Kept(plant.state, plant.restore)  # pyright: ignore[reportAttributeAccessIssue]
     words = words_of(job, workcell)
     try:
-        building = Building(found, workcell, plant, words, _key(plan, workcell), kept)
+        building = Building(found, workcell, plant, words, key_of(plan, workcell), kept)
     except PlantError as error:
         return replace(plan, status="incomplete", reason=str(error), steps=(), coverage=0.0)
     reason = building.run(progress)
@@ -180,7 +180,7 @@ def carry_out_cells(
     return carry_out(plan, workcell, joint=gap, progress=progress, found=found)
 
 
-def _key(plan: Plan, workcell: Workcell) -> str:
+def key_of(plan: Plan, workcell: Workcell) -> str:
     """What a build must have in common with the one it goes on from."""
     steps = [(s.block, s.action, s.kind, s.position) for s in plan.steps]
     # A magazine that ran empty may have been filled again.

@@ -28,6 +28,7 @@ from learn2assemble.cli.parser import (
     reading_of,
     span_of,
 )
+from learn2assemble.cli.running import COMMANDS as RUNNING
 from learn2assemble.cli.structures import COMMANDS as STRUCTURES
 from learn2assemble.errors import InputError, check_name, require
 from learn2assemble.files import check_exists, claim_folder
@@ -44,7 +45,7 @@ _COMMANDS: dict[str, Command] = {}
 
 def register_command(commands: Registry[Command]) -> None:
     """Add the commands of the product."""
-    for name, made in {**_COMMANDS, **LEARNING, **STRUCTURES}.items():
+    for name, made in {**_COMMANDS, **RUNNING, **LEARNING, **STRUCTURES}.items():
         commands.register(name, made)
 
 

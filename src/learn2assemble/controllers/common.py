@@ -70,10 +70,10 @@ def felt(guards: Sequence[Guard], feel: float) -> list[Guard]:
     """
     found = []
     for one in sorted(guards, key=lambda guard: guard.begin):
-        given = [force for force in (one.force, one.held) if force is not None]
+        given = [force for force in (one.force, one.held, one.taken) if force is not None]
         least = max(min(given), UNWANTED * feel) if given else None
         contact = None if one.contact is None else max(one.contact, feel)
-        found.append(one._replace(force=least, held=None, contact=contact))
+        found.append(one._replace(force=least, held=None, taken=None, contact=contact))
     return found
 
 
@@ -103,6 +103,7 @@ class ControllerClock:
 
     def __init__(self, silence: float) -> None:
         self.silence, self.last, self._wall = silence, -math.inf, -math.inf
+        self._states, self._began = 0, -math.inf
 
     def odd(self, now: float, wall: float) -> str:
         """What is wrong with the time that was told, in words; empty where nothing is.
@@ -117,10 +118,16 @@ class ControllerClock:
             return f"the controller's clock went back by {before - now:.3f} s"
         if now == before:
             return f"no state for {waited:.2f} s" if waited > self.silence else ""
-        self._wall = wall
+        self._wall, self._states = wall, self._states + 1
+        self._began = wall if self._began == -math.inf else self._began
         if before > -math.inf and now - before > JUMP + FASTEST * waited:
             return f"the controller's clock jumped by {now - before:.1f} s"
         return ""
+
+    def rate(self) -> float | None:
+        """States a second that were seen [1/s of this machine]."""
+        span = self._wall - self._began
+        return round(self._states / span, 1) if self._states > 1 and span > 0 else None
 
 
 DEBOUNCE = 0.04

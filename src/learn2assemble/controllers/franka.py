@@ -199,7 +199,10 @@ class FrankaPlant:
             joints = motion.joints[0] if len(motion.joints) else self.arm.home
             return Report(stop, done, joints.copy(), 0.0, why)
         now = self.sense()
-        return Report(stop, done, now.joints, max(now.time - begun, 0.0), why, now.tool)
+        joints = now.joints
+        if stop is Stop.END and len(motion.joints):
+            joints = motion.joints[-1].copy()
+        return Report(stop, done, joints, max(now.time - begun, 0.0), why, now.tool)
 
     def request(self, request: Request) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""

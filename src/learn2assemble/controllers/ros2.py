@@ -62,12 +62,14 @@ COMMANDS = {
 """What the tool is told, as in the bags of :mod:`learn2assemble.export.ros2`."""
 CONNECT = 3.0
 """Longest wait for an answer while connecting [s]."""
+WAIT = 0.5
+"""Longest wait for what not every robot says [s]."""
 POLL = 0.004
 """Between two looks at the state [s]."""
 LATE, SLACK = 1.5, 2.0
 """A motion that takes longer than its time by this factor, and so much more [s], is late."""
-BRAKE = 0.3
-"""Time in which the arm comes to rest where a motion is broken off [s]."""
+SHORTEST = 0.02
+"""In which the arm comes to rest at least where a motion is broken off [s]."""
 STANDS = 0.005
 """Slower joints stand [rad/s]."""
 SUCCEEDED, CANCELED = 4, 5
@@ -136,7 +138,12 @@ class RosPlant:
         """
         with self._came:
             known = self._came.wait_for(lambda: "/joint_states" in self._said, CONNECT)
-            self._came.wait_for(lambda: "/robot_description" in self._said, 0.2)
+            # Who has these says them at once; an arm must not begin with a full hand.
+            others = {
+                "/robot_description",
+                "/suction/held" if self.arm.suction else "/gripper/width",
+            }
+            self._came.wait_for(lambda: others <= self._said.keys(), WAIT)
         if not known:
             self.close()
             raise lost(f"no /joint_states within {CONNECT:g} s")
@@ -199,6 +206,10 @@ class RosPlant:
         except (KeyError, ValueError, IndexError, TypeError) as error:
             return f"/joint_states without {error}"
         return self._clock.odd(now, time.monotonic())
+
+    def rate(self) -> float | None:
+        """States a second that were seen."""
+        return self._clock.rate()
 
     # ------------------------------------------------------------ what is carried out
 
@@ -291,9 +302,10 @@ class RosPlant:
         if goal:
             self._action.cancel_goal(goal)
         _, q, v = self._joints()
-        there = np.clip(q + v * BRAKE / 2, self.arm.lower, self.arm.upper)
+        seconds = max(2 * float((np.abs(v) / self.arm.acceleration).max()), SHORTEST)
+        there = np.clip(q + v * seconds / 2, self.arm.lower, self.arm.upper)
         rest = np.zeros_like(q)
-        brake = Motion("", np.array([0.0, BRAKE]), np.stack([q, there]), np.stack([v, rest]))
+        brake = Motion("", np.array([0.0, seconds]), np.stack([q, there]), np.stack([v, rest]))
         self._go(brake, _Result())
         until, still = time.monotonic() + CONNECT, 0
         while time.monotonic() < until and self._ros.is_connected:
@@ -319,6 +331,8 @@ class RosPlant:
         self, stop: Stop, motion: Motion, done: float, begun: float, why: str = ""
     ) -> Report:
         now, joints, _ = self._joints()
+        if stop is Stop.END and len(motion.joints):
+            joints = motion.joints[-1].copy()
         return Report(stop, done, joints, max(now - begun, 0.0), why, self._tool())
 
     def request(self, request: Request) -> Report:

@@ -192,6 +192,10 @@ class UrPlant:
             return "the controller closed the connection"
         return self._clock.odd(self._state.getTimestamp(), time.monotonic())
 
+    def rate(self) -> float | None:
+        """States a second that were seen."""
+        return self._clock.rate()
+
     # ------------------------------------------------------------ what is carried out
 
     def execute(
@@ -278,6 +282,8 @@ class UrPlant:
         self, stop: Stop, motion: Motion, done: float, begun: float, why: str = ""
     ) -> Report:
         joints = np.array(self._state.getActualQ())
+        if stop is Stop.END and len(motion.joints):
+            joints = motion.joints[-1].copy()
         seconds = max(self._state.getTimestamp() - begun, 0.0)
         return Report(stop, done, joints, seconds, why, self._tool())
 

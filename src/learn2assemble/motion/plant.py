@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from learn2assemble.errors import InputError, Learn2AssembleError
+from learn2assemble.errors import InputError, Learn2AssembleError, look_up
 from learn2assemble.motion.settings import ProgramSettings
 from learn2assemble.registry import Registry, add_plugin
 from learn2assemble.robot.arm import Arm
@@ -104,8 +104,11 @@ class Motion(NamedTuple):
         return float(self.time[-1]) if len(self.time) else 0.0
 
     def at(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and velocities, each float64[m, n], at times float64[m]; of two samples or
-        more."""
+        """Positions and velocities, each float64[m, n], at times float64[m]; it stands where it
+        has one sample."""
+        if len(self.time) < 2:
+            there = np.repeat(self.joints[:1], len(time), 0)
+            return there, np.zeros_like(there)
         k = np.clip(np.searchsorted(self.time, time, "right") - 1, 0, len(self.time) - 2)
         h = np.diff(self.time)[k][:, None]
         u = (np.clip(time, 0.0, self.seconds) - self.time[k])[:, None] / h
@@ -398,17 +401,28 @@ cell as it is meant to be."""
 add_plugin("learn2assemble.simulation.plant", "plant")
 
 
+def check_address(address: str) -> tuple[str, str]:
+    """Scheme and place of an address.
+
+    Raises:
+        InputError: for an address without a scheme, and for a scheme nobody knows.
+    """
+    scheme, mark, place = address.partition("://")
+    if not mark:
+        raise InputError("robot", address, "an address as sim:// or ur://HOST")
+    look_up("robot", scheme, PLANTS)
+    return scheme, place
+
+
 def open_plant(address: str, setup: Setup) -> Plant:
     """The plant behind an address, as ``sim://`` or ``ur://192.168.0.2``.
 
     Raises:
-        InputError: for an address without a scheme, and for a scheme nobody knows.
+        InputError: see :func:`check_address`; also for a place that is none.
         PlantError: where nobody answers, or another arm.
     """
-    scheme, mark, rest = address.partition("://")
-    if not mark:
-        raise InputError("robot", address, "an address as sim:// or ur://HOST")
-    return PLANTS[scheme](rest, setup)
+    scheme, place = check_address(address)
+    return PLANTS[scheme](place, setup)
 
 
 # ---------------------------------------------------------------- answers that make no sense

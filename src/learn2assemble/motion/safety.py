@@ -309,6 +309,7 @@ class Guarded:
             one._replace(
                 force=least(one.force),
                 held=least(one.held),
+                taken=least(one.taken),
                 contact=None if one.contact is None else min(one.contact, most),
             )
             for one in (*first, *guards)

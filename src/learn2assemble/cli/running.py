@@ -1,0 +1,150 @@
+"""The command that carries out a plan with a robot, simulated or behind a controller."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING, Any
+
+from learn2assemble.cli.parser import Command, arg, command, count, named
+from learn2assemble.errors import InputError
+from learn2assemble.values import to_plain
+
+if TYPE_CHECKING:
+    from learn2assemble.cli.output import Output
+    from learn2assemble.motion.plant import Request
+
+COMMANDS: dict[str, Command] = {}
+STATE = "run.jsonl"
+"""What a run appends to, in the folder of its plan; gone when everything is done."""
+WORDS = {
+    "place": "put {} where it shall be",
+    "remove": "take {} away, out of the hand or its place",
+}
+"""What a person is asked to do."""
+
+
+def percent(text: str) -> float:
+    """A share, ``0.3`` or ``30%``, above 0 and up to 1."""
+    body, whole = (text[:-1], 100.0) if text.endswith("%") else (text, 1.0)
+    try:
+        found = float(body) / whole
+    except ValueError:
+        found = 0.0
+    if not 0 < found <= 1:
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected a share as 0.3 or 30%, up to 1")
+    return found
+
+
+@command(
+    COMMANDS,
+    "run",
+    "carry out a plan with a robot, or go on with it",
+    "l2a run out/wall --robot ur://192.168.0.2 --speed 30% --step",
+    arg("plan", metavar="PLAN", type=named, help="folder of a build with an arm (l2a build --arm)"),
+    arg(
+        "--robot",
+        default="sim://",
+        metavar="URL",
+        help="sim:// (the default), ur://HOST, ros2://HOST:PORT or franka://HOST (docs/run.md)",
+    ),
+    arg(
+        "--layout",
+        type=named,
+        default=None,
+        metavar="FILE",
+        help="the workcell: where blocks wait, how the tool is wired, what the arm may not do",
+    ),
+    arg("--step", action="store_true", help="ask before every attempt"),
+    arg("--until", type=count, default=None, metavar="N", help="pause after N steps"),
+    arg("--speed", type=percent, default=1.0, metavar="SHARE", help="of the plan's, as 30%% (1)"),
+    arg("--resume", action="store_true", help="go on with a run that was paused or interrupted"),
+    arg(
+        "--trust-placements",
+        action="store_true",
+        help="nothing sees blocks: take them to be where they were put",
+    ),
+)
+def _run(options: argparse.Namespace, output: Output) -> int:
+    """Exit code 0 where everything is done, or the run was paused as asked; else 1."""
+    from learn2assemble.cell.site import Site, read_site
+    from learn2assemble.jobs.run import run
+    from learn2assemble.motion.plant import Surroundings
+
+    if options.step and options.until is not None:
+        raise InputError("--step", f"with --until {options.until}", "one of the two")
+    folder = options.plan if options.plan.is_dir() else options.plan.parent
+    state = folder / STATE
+    if state.exists() != options.resume:
+        got = f"{state}, which {'is' if state.exists() else 'is not'} there"
+        expected = "a run to --resume" if options.resume else "--resume, or that file away"
+        raise InputError("--resume", got, expected)
+    site = Site() if options.layout is None else read_site(options.layout)
+
+    def confirm(done: int, what: str) -> bool:
+        if options.until is not None:
+            return done < options.until
+        return not options.step or _asked(f"{done} steps done; next: {what}. Go on? [Y/n] ")
+
+    around = Surroundings(
+        program=site.program, serve=_serve, trust_placements=options.trust_placements
+    )
+    ran = run(
+        options.plan,
+        options.robot,
+        layout=site,
+        state=state,
+        speed=options.speed,
+        confirm=confirm,
+        around=around,
+        progress=output.progress,
+    )
+    paused = ran.reason == "paused"
+    if ran.complete:
+        state.unlink(missing_ok=True)
+    result: dict[str, Any] = {
+        "design": ran.plan.design.name,
+        "robot": options.robot,
+        "complete": ran.complete,
+        "stop": ran.stop.value,
+        "reason": ran.reason,
+        "blocks": ran.blocks,
+        "seconds": ran.seconds,
+        "seconds_a_block": ran.seconds_a_block,
+        "link": to_plain(ran.link._asdict()),
+        "state": str(state) if state.exists() else None,
+    }
+    output.say("complete" if ran.complete else f"{ran.reason}")
+    if ran.blocks:
+        link = ran.link
+        output.say(
+            f"{ran.blocks} blocks in {ran.seconds:.0f} s of the robot, "
+            f"{ran.seconds_a_block:.2f} s each; {link.motions} motions, "
+            f"{1e3 * link.overhead:.0f} ms longer than planned each"
+        )
+    if not ran.complete and state.exists():
+        output.say(f"goes on with `resume=`: {state}")
+    output.finish(result)
+    return 0 if ran.complete or paused else 1
+
+
+def _asked(question: str) -> bool:
+    """Whether somebody at the terminal says yes; nobody there says no."""
+    sys.stderr.write(question)
+    sys.stderr.flush()
+    answer = sys.stdin.readline()
+    return bool(answer) and answer.strip().lower() in ("", "y", "yes")
+
+
+def _serve(request: Request) -> None:
+    """Magazines do what they are asked to; a person is asked at the terminal.
+
+    Raises:
+        PlantError: where nobody says that it is done.
+    """
+    from learn2assemble.motion.plant import PlantError, Stop
+
+    if request.what in WORDS:
+        what = WORDS[request.what].format(request.block)
+        if not _asked(f"{what}; done? [Y/n] "):
+            raise PlantError(Stop.REFUSED, f"nobody did it: {what}")

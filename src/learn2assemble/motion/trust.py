@@ -1,0 +1,147 @@
+"""Where nothing sees blocks: they are taken to be where they were put.
+
+A user who says so gets readings that follow from what the arm was told and what its tool felt, with
+the errors of a good magazine and of a careful hand. Nobody notices then that a block was moved by
+somebody else, or lies aslant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
+from learn2assemble.motion.plant import (
+    BlockReading,
+    Guard,
+    Motion,
+    Plant,
+    Readings,
+    Report,
+    Request,
+    Setup,
+    Stop,
+    ToolCommand,
+)
+from learn2assemble.robot.bodies import body_of
+from learn2assemble.robot.kinematics import forward, get_chain
+
+PLACE, TURN = 3e-4, 3e-3
+"""Standard deviations of where a block is taken to be [m], [rad]."""
+WITHIN = 0.02
+"""The tool has taken the block whose bounding box is nearest to its point, within this [m]."""
+
+
+class Trusted:
+    """A plant that sees no blocks, with readings of where they were put.
+
+    Args:
+        plant: the one behind it.
+        setup: the cell as it is meant to be.
+    """
+
+    def __init__(self, plant: Plant, setup: Setup) -> None:
+        self.plant, self.setup, self.chain = plant, setup, get_chain(setup.arm)
+        self.poses = {name: pose.copy() for name, pose in setup.waiting.items()}
+        self.kinds = {name: name for name in setup.waiting}
+        self.held: tuple[str, np.ndarray, np.ndarray] | None = None
+        """The block in the hand, its place float64[3] and rotation in the tool frame."""
+        covariance = np.diag([PLACE**2] * 3 + [TURN**2] * 3)
+        self._covariance = covariance
+
+    def sense(self) -> Readings:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        found = self.plant.sense()
+        self._follow(found.joints)
+        seen = tuple(
+            BlockReading(name, pose.copy(), self._covariance, found.time)
+            for name, pose in self.poses.items()
+        )
+        return found._replace(blocks=seen)
+
+    def execute(
+        self,
+        motion: Motion,
+        commands: Sequence[ToolCommand] = (),
+        guards: Sequence[Guard] = (),
+    ) -> Report:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        report = self.plant.execute(motion, commands, guards)
+        joints = self.plant.sense().joints
+        self._follow(joints)
+        if report.stop in (Stop.VACUUM, Stop.WIDTH) and self.held is not None:
+            # It is anywhere; so it is seen nowhere.
+            self.poses.pop(self.held[0])
+            self.held = None
+        for command in commands:
+            takes = command.vacuum
+            if takes is None and command.width is not None:
+                takes = command.force > 0
+            if takes is False:
+                self.held = None
+            elif takes and self.held is None and report.tool.vacuum is not False:
+                self._take(joints)
+        return report
+
+    def _follow(self, joints: np.ndarray) -> None:
+        """What is held is where the tool is."""
+        if self.held is None:
+            return
+        name, place, turn = self.held
+        position, rotation = forward(self.chain, joints)
+        quaternion = matrix_quaternion(rotation @ turn)
+        self.poses[name] = np.concatenate([position + rotation @ place, quaternion])
+
+    def _take(self, joints: np.ndarray) -> None:
+        """The tool has taken what is nearest to its point."""
+        position, rotation = forward(self.chain, joints)
+        nearest, best = "", WITHIN
+        for name, pose in self.poses.items():
+            half = body_of(self.setup.kinds[self.kinds[name]].shape).half
+            inside = quaternion_matrix(pose[3:]).T @ (position - pose[:3])
+            far = float(np.linalg.norm(np.maximum(np.abs(inside) - half, 0.0)))
+            # Of two that touch it is the one whose face the point is over.
+            far += 1e-3 * float(np.linalg.norm(inside[:2]))
+            if far < best:
+                nearest, best = name, far
+        if nearest:
+            pose = self.poses[nearest]
+            place = rotation.T @ (pose[:3] - position)
+            self.held = nearest, place, rotation.T @ quaternion_matrix(pose[3:])
+
+    def request(self, request: Request) -> Report:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        report = self.plant.request(request)
+        if report.stop is Stop.END:
+            if request.what in ("present", "place"):
+                self.poses[request.block] = request.pose.copy()
+                self.kinds[request.block] = request.kind
+            else:
+                self.poses.pop(request.block, None)
+            if self.held is not None and self.held[0] == request.block:
+                self.held = None
+        return report
+
+    def stop(self) -> None:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        self.plant.stop()
+
+    def close(self) -> None:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        self.plant.close()
+
+    def state(self) -> dict[str, Any]:
+        """What the file of a build keeps, from which another one goes on; what is in the hand then
+        is taken out of it."""
+        held = None if self.held is None else self.held[0]
+        return {
+            "poses": {name: p.tolist() for name, p in self.poses.items() if name != held},
+            "kinds": self.kinds,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """As :meth:`state` said."""
+        self.poses = {name: np.array(pose) for name, pose in state["poses"].items()}
+        self.kinds, self.held = dict(state["kinds"]), None
