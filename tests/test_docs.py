@@ -38,6 +38,7 @@ TOO_LONG = (
     "--agents",
     "dynamic",
     "measure-designs",
+    "--robot",
 )
 """Commands with these words are parsed, and their tests are elsewhere."""
 
