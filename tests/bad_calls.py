@@ -894,6 +894,11 @@ BAD = [
         "new or empty folder",
     ),
     BadCall(
+        "figures of cameras that are not there",
+        ["measure-sensing", "--out", "{d}/new.json", "--only", "nosuch"],
+        "part of the name",
+    ),
+    BadCall(
         "figures of given blocks over a design",
         ["measure-structures", "--out", "{d}/design.json"],
         "a new file, or a result of this command",

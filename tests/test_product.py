@@ -96,6 +96,7 @@ LEARNS = {
     "measure-builds": [],
     "measure-designs": [],
     "measure-goals": [],
+    "measure-sensing": [],
     "measure-structures": [],
     "replay": ["transitions.jsonl"],
     "table": ["T1"],

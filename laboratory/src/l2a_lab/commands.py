@@ -410,6 +410,12 @@ _COMMANDS = {
         "measure the exact planner and the check on shapes and drawings",
         "l2a-lab measure-designs --only shape/ --workers 2",
     ),
+    "measure-sensing": _figures(
+        "sensing",
+        "figures of what cameras tell",
+        "measure poses of blocks in depth pictures, lost blocks, and calibrated cameras",
+        "l2a-lab measure-sensing --only alone/",
+    ),
     "measure-structures": _figures(
         "structures",
         "figures of given blocks",

@@ -117,7 +117,7 @@ def calibrated(
     for _ in range(ROUNDS):
         errors, rows, owner = _linear(poses, cameras, named, readings)
         size = np.sqrt(np.bincount(owner, errors**2) / np.bincount(owner))[owner]
-        weight = np.minimum(1.0, FAR_OFF / np.maximum(size, 1e-12))
+        weight = np.minimum(1.0, (FAR_OFF / np.maximum(size, 1e-12)) ** 2)
         information = (rows * weight[:, None]).T @ rows + np.diag(1 / width**2)
         step = np.linalg.solve(information, rows.T @ (weight * errors) - offset / width**2)
         offset += step

@@ -98,7 +98,8 @@ def patches(
             faces = arrays.normals, arrays.offsets, arrays.starts
             origin = attitude.T @ (place - pose[:3])
             _explain(view.depth, view.rays, window, origin, between, faces, slack, mask)
-        marks, _ = label(mask, np.ones((3, 3)))
+        marks = np.zeros(mask.shape, np.int32)
+        label(mask, np.ones((3, 3)), marks)
         for k, box in enumerate(find_objects(marks), 1):
             inside = marks[box] == k
             if inside.sum() >= LEAST:
