@@ -42,21 +42,22 @@ _CORNERS = np.array([[-4, -2.5, -2], [4, -2.5, -2], [-4, 2.5, -2], [4, 2.5, -2],
 WEDGE: Shape = (
     Part((0.0, 0.0, 0.0), (0.04, 0.025, 0.02), hull_of(np.vstack([_CORNERS, [-4, 2.5, 2]]) / 100)),
 )
-SHAPES = {"brick 80 x 40 x 30 mm": BRICK, "cube of 40 mm": CUBE, "wedge": WEDGE}
+SHAPES: dict[str, Shape] = {"brick 80 x 40 x 30 mm": BRICK, "cube of 40 mm": CUBE, "wedge": WEDGE}
 _HALVES = [np.diag(d).astype(float) for d in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))]
 _CYCLE = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
 _QUARTER = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
 _TWELVE = [half @ k for half in _HALVES for k in (np.eye(3), _CYCLE, _CYCLE @ _CYCLE)]
-TURNS = {
+TURNS: dict[Shape, tuple[np.ndarray, ...]] = {
     BRICK: tuple(_HALVES),
     CUBE: tuple(turn @ k for turn in _TWELVE for k in (np.eye(3), _QUARTER)),
     WEDGE: (np.eye(3),),
 }
 
 
-def camera(name: str, x: float, y: float, z: float, **more: DepthNoise) -> DepthCamera:
+def camera(name: str, x: float, y: float, z: float, noise: DepthNoise | None = None) -> DepthCamera:
     """One that looks at the middle of the table."""
-    return DepthCamera(name, (x, y, z, *looking(np.array([-x, -y, -z]))), **more)
+    pose = (x, y, z, *looking(np.array([-x, -y, -z])))
+    return DepthCamera(name, pose, noise=noise or DepthNoise())
 
 
 FINE = DepthNoise(2e-4, 3e-4, 1e-4)
@@ -110,7 +111,8 @@ def resting(shape: Shape, x: float, y: float, yaw: float, below: float = 0.0) ->
 def _alone(
     rng: np.random.Generator, shape: Shape
 ) -> tuple[np.ndarray, list[tuple[Shape, np.ndarray]]]:
-    return resting(shape, *rng.uniform(-0.15, 0.15, 2), rng.uniform(-3, 3)), []
+    x, y = rng.uniform(-0.15, 0.15, 2).tolist()
+    return resting(shape, x, y, rng.uniform(-3, 3)), []
 
 
 def _beside(
@@ -126,7 +128,8 @@ def _pile(
     rng: np.random.Generator, shape: Shape
 ) -> tuple[np.ndarray, list[tuple[Shape, np.ndarray]]]:
     """On two layers of bricks, a wall of three behind it, one of its height 5 mm beside it."""
-    there = resting(shape, *rng.uniform(-0.1, 0.1, 2), rng.uniform(-3, 3), 0.06)
+    x, y = rng.uniform(-0.1, 0.1, 2).tolist()
+    there = resting(shape, x, y, rng.uniform(-3, 3), 0.06)
     x, y, z = (2 * k for k in shape[0].half)
     joint = 1e-4
     others = [_beside(there, shape, k * (x + joint), 0, -n * z) for n in (1, 2) for k in (-1, 0, 1)]

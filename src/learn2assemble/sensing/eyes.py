@@ -28,7 +28,7 @@ from learn2assemble.motion.plant import (
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.bodies import Shape, body_of
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.sensing.camera import DepthCamera, DepthPicture
+from learn2assemble.sensing.camera import DepthCamera, DepthPicture, rotation
 from learn2assemble.sensing.registration import Believed, Look, Seen, register, views_of
 from learn2assemble.sensing.search import find
 
@@ -148,7 +148,7 @@ class SeeingPlant:
         found = []
         for name, one in seen.items():
             if one.look == Look.SEEN:
-                self._keep(name, one.pose, readings)
+                self._keep(name, one, readings)
                 reading = BlockReading(name, one.pose, one.covariance, readings.time)
                 found.append(reading)
         return tuple(found)
@@ -160,11 +160,21 @@ class SeeingPlant:
         sort = self._sort(name)
         return Believed(name, sort.shape, pose, sort.turns, AT_REST)
 
-    def _keep(self, name: str, pose: np.ndarray, readings: Readings) -> None:
-        """A block was seen there."""
-        self.expected[name] = pose.copy()
+    def _keep(self, name: str, seen: Seen, readings: Readings) -> None:
+        """A block was seen: it is expected there next, but for what the pictures do not say."""
+        before, there = self.expected[name], seen.pose
+        if before is not None:
+            expected = np.diag(np.repeat(AT_REST, 3) ** 2)
+            turn = quaternion_matrix(there[3:]) @ quaternion_matrix(before[3:]).T
+            spin = matrix_quaternion(turn)
+            vector = 2 * spin[1:] * (1.0 if spin[0] >= 0 else -1.0)
+            step = np.concatenate([there[:3] - before[:3], vector])
+            step = expected @ np.linalg.solve(expected + seen.covariance, step)
+            turned = rotation(step[3:]) @ quaternion_matrix(before[3:])
+            there = np.array([*(before[:3] + step[:3]), *matrix_quaternion(turned)])
+        self.expected[name] = there
         if self.held is not None and self.held[0] == name:
-            self.held = name, *self._in_tool(pose, readings.joints)
+            self.held = name, *self._in_tool(there, readings.joints)
 
     def _in_tool(self, pose: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         place, turn = forward(self.chain, joints)

@@ -44,6 +44,9 @@ MOST_CUT = 6.0
 BACKGROUND = 4
 """Pixels beyond an outline that say what lies behind it."""
 ROUNDS = 10
+NOTHING = 0.02
+"""Share of the search that the covariance of a reading has of what no picture says: whoever
+averages readings must not take where a block was looked for for where it was seen."""
 LEAST = 30
 """Pixels without which a block does not count as seen."""
 MANY, FEW = 8000, 500
@@ -566,7 +569,7 @@ def register(views: Sequence[PreparedPicture], believed: Believed) -> Seen:
     if look == Look.SEEN and np.linalg.norm(pose[:3] - start[:3]) > 4 * place:
         look = Look.ABSENT
     worse = max(1.0, sums.squares / max(int(sums.counts[0]) - 6, 1))
-    covariance = np.linalg.inv((sums.information + 1e-3 * prior) / worse + prior * 0.999)
+    covariance = np.linalg.inv(sums.information / worse + NOTHING * prior)
     on, border, _, behind, _ = sums.counts.tolist()
     if look != Look.SEEN:
         return Seen(believed.block, look, start, covariance, on + border, behind)
