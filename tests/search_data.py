@@ -8,8 +8,8 @@ import numpy as np
 import torch
 
 from learn2assemble.tasks.search.config import SearchConfig
-from learn2assemble.tasks.search.mcts import Decision, search
-from learn2assemble.tasks.search.tree import ActionValues, Node, StepResult
+from learn2assemble.tasks.search.mcts import SearchResult, search
+from learn2assemble.tasks.search.tree import ActionValues, StepResult, TreeNode
 
 torch.set_num_threads(1)
 
@@ -73,18 +73,18 @@ def root(*names: str) -> np.ndarray:
     return np.array(names or ("root",), object)
 
 
-def decide(model: Any, seed: int = 0, **arguments: Any) -> Decision:
+def decide(model: Any, seed: int = 0, **arguments: Any) -> SearchResult:
     """One decision at ``root``; without chance unless asked for."""
     config = SearchConfig(**{"epsilon": 0.0, **arguments})
     return search(model, root(), config, np.random.default_rng(seed))[0]
 
 
-def explored(decision: Decision) -> dict[int, tuple[float, int]]:
+def explored(decision: SearchResult) -> dict[int, tuple[float, int]]:
     """Value and visits of every explored root action, by its place in the list."""
     return {number - 7: found for number, found in explored_actions(decision).items()}
 
 
-def explored_actions(decision: Decision) -> dict[int, tuple[float, int]]:
+def explored_actions(decision: SearchResult) -> dict[int, tuple[float, int]]:
     """The same by the first number of the action."""
     return {int(a[0]): (round(v, 9), n) for a, v, n in decision.explored()}
 
@@ -138,5 +138,5 @@ def best_return(model: TreeModel, state: str) -> tuple[float, int]:
     return max(values), int(np.argmax(values))
 
 
-def size(node: Node) -> int:
+def size(node: TreeNode) -> int:
     return sum(1 + size(child) for child in node.children.values())

@@ -29,7 +29,7 @@ from learn2assemble.envs.assembly import AssemblyEnv, AssemblyVectorEnv
 from learn2assemble.envs.drawing import COLOURS, SCALE
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.tasks.graph.features import Graph, connectivity
-from learn2assemble.tasks.physics.protocol import Verdict
+from learn2assemble.tasks.physics.protocol import PlacementVerdict
 from learn2assemble.tasks.physics.static import StaticPhysics
 from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.task import PRESETS, get_task
@@ -213,10 +213,12 @@ def test_masks_say_what_every_action_does(name: str, seed: int, steps: int) -> N
     actions, clipped = flat_actions.resolve_actions(env.task, worlds, flat)
     assert not clipped.any()
     some = np.linspace(0, len(flat) - 1, 6).astype(int)
-    reached = env.simulator.step(worlds.take(some), actions[some]).verdict == Verdict.STABLE
+    reached = (
+        env.simulator.step(worlds.take(some), actions[some]).verdict == PlacementVerdict.STABLE
+    )
     # The mask knows no arm.
     verdict = Simulator(env.task.replace(arm="none")).step(worlds, actions).verdict
-    assert np.array_equal(verdict == Verdict.STABLE, stable[flat])
+    assert np.array_equal(verdict == PlacementVerdict.STABLE, stable[flat])
     assert not (reached & ~stable[flat][some]).any()
     assert env.task.has_arm or np.array_equal(reached, stable[flat][some])
     i, j, k = flat_actions.unflatten_action(env.task, flat)
@@ -314,7 +316,7 @@ class Quake(StaticPhysics):
     name = "quake"
 
     def settle(self, state, rows):
-        return np.full(len(rows), Verdict.UNSTABLE, np.int8)
+        return np.full(len(rows), PlacementVerdict.UNSTABLE, np.int8)
 
 
 def test_physics_is_an_argument() -> None:

@@ -17,7 +17,7 @@ from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.tasks.checkers import resolve_checker
 from learn2assemble.tasks.graph.features import connectivity
 from learn2assemble.tasks.physics.equilibrium import is_stable
-from learn2assemble.tasks.physics.protocol import Verdict
+from learn2assemble.tasks.physics.protocol import PlacementVerdict
 from learn2assemble.tasks.physics.rigid import RigidPhysics
 from learn2assemble.tasks.physics.static import StaticPhysics, survey_objects
 from learn2assemble.tasks.physics.support import (
@@ -343,11 +343,11 @@ def build(*objects: list[tuple[int, int, int]]) -> State:
     return state
 
 
-def verdicts(*objects: list[tuple[int, int, int]]) -> tuple[Verdict, Verdict]:
+def verdicts(*objects: list[tuple[int, int, int]]) -> tuple[PlacementVerdict, PlacementVerdict]:
     """What static and rigid physics say of the last of the objects."""
     static = StaticPhysics().settle(build(*objects), np.array([0]))[0]
     rigid = RigidPhysics("object").settle(build(*objects), np.array([0]))[0]
-    return Verdict(static), Verdict(rigid)
+    return PlacementVerdict(static), PlacementVerdict(rigid)
 
 
 def column(x: int, first: int, count: int) -> list[list[tuple[int, int, int]]]:
@@ -360,13 +360,19 @@ def s_at(x: int, z: int) -> list[tuple[int, int, int]]:
 
 
 def test_an_s_needs_a_support_under_its_middle() -> None:
-    assert verdicts(s_at(0, 0)) == (Verdict.STABLE, Verdict.STABLE)
+    assert verdicts(s_at(0, 0)) == (PlacementVerdict.STABLE, PlacementVerdict.STABLE)
     # On one cube: under its middle it stands, under its end it falls.
-    assert verdicts([(0, 0, 0)], s_at(0, 1)) == (Verdict.STABLE, Verdict.STABLE)
-    assert verdicts([(1, 0, 0)], s_at(0, 1)) == (Verdict.UNSTABLE, Verdict.UNSTABLE)
-    assert verdicts([(1, 0, 0)], s_at(2, 2)) == (Verdict.FLOATING, Verdict.FLOATING)
-    assert verdicts([(1, 0, 0)], s_at(1, 0)) == (Verdict.OVERLAP, Verdict.OVERLAP)
-    assert verdicts(s_at(0, -1))[0] == Verdict.BELOW_GROUND
+    assert verdicts([(0, 0, 0)], s_at(0, 1)) == (PlacementVerdict.STABLE, PlacementVerdict.STABLE)
+    assert verdicts([(1, 0, 0)], s_at(0, 1)) == (
+        PlacementVerdict.UNSTABLE,
+        PlacementVerdict.UNSTABLE,
+    )
+    assert verdicts([(1, 0, 0)], s_at(2, 2)) == (
+        PlacementVerdict.FLOATING,
+        PlacementVerdict.FLOATING,
+    )
+    assert verdicts([(1, 0, 0)], s_at(1, 0)) == (PlacementVerdict.OVERLAP, PlacementVerdict.OVERLAP)
+    assert verdicts(s_at(0, -1))[0] == PlacementVerdict.BELOW_GROUND
 
 
 def test_a_weight_on_its_tail_holds_an_s() -> None:
@@ -377,28 +383,35 @@ def test_a_weight_on_its_tail_holds_an_s() -> None:
         pile = build(wall, s, *column(1, 2, weights))
         count = int(pile.num_placed[0])
         assert is_stable(pile.position[0, :count], pile.object_id[0, :count]) == stands
-    assert verdicts(wall, s, *column(1, 2, 5)) == (Verdict.STABLE, Verdict.STABLE)
+    assert verdicts(wall, s, *column(1, 2, 5)) == (PlacementVerdict.STABLE, PlacementVerdict.STABLE)
 
 
 def test_an_overhang_can_be_loaded_until_it_tips() -> None:
     """k cubes on the overhanging end move the centre of mass by -k / (4 + k) edges."""
-    for weights, verdict in ((1, Verdict.STABLE), (3, Verdict.STABLE), (5, Verdict.UNSTABLE)):
+    for weights, verdict in (
+        (1, PlacementVerdict.STABLE),
+        (3, PlacementVerdict.STABLE),
+        (5, PlacementVerdict.UNSTABLE),
+    ):
         assert verdicts(s_at(0, 0), *column(-1, 2, weights))[0] == verdict
         assert verdicts(s_at(0, 0), *column(-1, 2, weights))[1] == verdict
     # A cube below the end carries it, and then the load does not matter.
     prop = column(-1, 0, 1)
-    assert verdicts(s_at(0, 0), *prop, *column(-1, 2, 5)) == (Verdict.STABLE, Verdict.STABLE)
+    assert verdicts(s_at(0, 0), *prop, *column(-1, 2, 5)) == (
+        PlacementVerdict.STABLE,
+        PlacementVerdict.STABLE,
+    )
 
 
 def test_a_bar_balanced_exactly_on_an_edge_stands() -> None:
     """As in most of the published steps; by less than a millimetre either way it is firm."""
     cube, bar = [(0, 0, 0)], [(0, 0, 1), (1, 0, 1)]
-    assert verdicts(cube, bar) == (Verdict.STABLE, Verdict.STABLE)
+    assert verdicts(cube, bar) == (PlacementVerdict.STABLE, PlacementVerdict.STABLE)
     state = build(cube, bar)
     for slack, stands in ((BALANCE_TOLERANCE, True), (-BALANCE_TOLERANCE, False)):
         found = is_stable(state.position[0, :3], state.object_id[0, :3], slack=slack)
         assert found == stands
-    assert verdicts(cube, [(0, 0, 1), (1, 0, 1), (1, 1, 1)])[0] == Verdict.UNSTABLE
+    assert verdicts(cube, [(0, 0, 1), (1, 0, 1), (1, 1, 1)])[0] == PlacementVerdict.UNSTABLE
 
 
 def random_pile(rng: np.random.Generator, name: str, count: int) -> State:
@@ -438,10 +451,10 @@ def test_the_program_is_seldom_needed() -> None:
     for _ in range(150):
         state = random_pile(rng, "set-23", 10)
         first, placed = last_object(state, 0), int(state.num_placed[0])
-        found[Verdict(classify_object(state.position[0], first, placed, HALF))] += 1
-    assert found[Verdict.STABLE] > 20
-    assert found[Verdict.UNSTABLE] > 0
-    assert 0 < found[Verdict.UNDECIDED] < 0.15 * found.total()
+        found[PlacementVerdict(classify_object(state.position[0], first, placed, HALF))] += 1
+    assert found[PlacementVerdict.STABLE] > 20
+    assert found[PlacementVerdict.UNSTABLE] > 0
+    assert 0 < found[PlacementVerdict.UNDECIDED] < 0.15 * found.total()
 
 
 def test_static_and_rigid_agree_on_random_objects() -> None:
@@ -453,7 +466,7 @@ def test_static_and_rigid_agree_on_random_objects() -> None:
         placed = int(state.num_placed[0])
         cells, ids = state.position[0, :placed].copy(), state.object_id[0, :placed]
         verdict = static.settle(state, np.array([0]))[0]
-        if verdict in (Verdict.STABLE, Verdict.UNSTABLE) and is_stable(
+        if verdict in (PlacementVerdict.STABLE, PlacementVerdict.UNSTABLE) and is_stable(
             cells, ids, slack=BALANCE_TOLERANCE
         ) != is_stable(cells, ids, slack=-BALANCE_TOLERANCE):
             edges += 1
@@ -485,7 +498,7 @@ def test_an_object_that_tilts_fails_by_the_rule_for_objects_only() -> None:
     verdict = {}
     for rule in ("block", "object"):
         verdict[rule] = RigidPhysics(rule).settle(bar.copy(), np.array([0]))[0]
-    assert verdict == {"block": Verdict.STABLE, "object": Verdict.UNSTABLE}
+    assert verdict == {"block": PlacementVerdict.STABLE, "object": PlacementVerdict.UNSTABLE}
 
 
 def test_an_earlier_block_that_shifts_fails_by_the_rule_for_objects_only() -> None:
@@ -497,7 +510,7 @@ def test_an_earlier_block_that_shifts_fails_by_the_rule_for_objects_only() -> No
         trial = state.copy()
         verdict[rule] = RigidPhysics(rule, threshold=1e9).settle(trial, np.array([0]))[0]
         assert np.abs(trial.position[0, 1, :2] - state.position[0, 1, :2]).max() > 0.01
-    assert verdict == {"block": Verdict.STABLE, "object": Verdict.UNSTABLE}
+    assert verdict == {"block": PlacementVerdict.STABLE, "object": PlacementVerdict.UNSTABLE}
 
 
 # ---------------------------------------------------------------- whole steps
@@ -514,14 +527,14 @@ def test_the_survey_is_the_verdict_of_every_step(task: Task) -> None:
             state.put(np.array([0]), before)
     found = survey_objects(state, task.action_spec)
     waiting, placed = int(state.num_unplaced[0]), int(state.num_placed[0])
-    assert (found[0, waiting:] == Verdict.OVERLAP).all()
-    assert (found[0, :, placed:] == Verdict.OVERLAP).all()
+    assert (found[0, waiting:] == PlacementVerdict.OVERLAP).all()
+    assert (found[0, :, placed:] == PlacementVerdict.OVERLAP).all()
     spec = np.indices((waiting, placed, task.num_actions)).reshape(3, -1).T
     spec = rng.permutation(spec)[:400]
     trial = state.take(np.zeros(len(spec), np.int64))
     verdict = sim.step(trial, spec).verdict
     assert np.array_equal(verdict, found[0][tuple(spec.T)])
-    assert (verdict == Verdict.STABLE).sum() > 20
+    assert (verdict == PlacementVerdict.STABLE).sum() > 20
     # Pixel sets after a step are those of all cells, also of the object just placed.
     again = trial.copy()
     for row in range(0, len(spec), 13):
@@ -542,7 +555,7 @@ def test_episodes_use_objects_up_and_sum_to_the_coverage(task: Task) -> None:
             actions = rng.integers(limits, size=(64, 3))
             trial = state.take(np.zeros(64, np.int64))
             done = sim.step(trial, actions)
-            good = np.flatnonzero(done.verdict == Verdict.STABLE)
+            good = np.flatnonzero(done.verdict == PlacementVerdict.STABLE)
             if len(good) == 0:
                 break
             row = good[0]

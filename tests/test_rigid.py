@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from learn2assemble.constants import EDGE, HALF, MASS
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.tasks.physics.equilibrium import is_stable
-from learn2assemble.tasks.physics.protocol import Physics, Verdict
+from learn2assemble.tasks.physics.protocol import Physics, PlacementVerdict
 from learn2assemble.tasks.physics.rigid import (
     RULES,
     SHRINK,
@@ -56,8 +56,8 @@ def world(*structures: list[tuple[float, ...]], objects: list[int] | None = None
     return state
 
 
-def settle(*cells: tuple[float, ...], objects: list[int] | None = None) -> Verdict:
-    return Verdict(RigidPhysics().settle(world(list(cells), objects=objects), ROW)[0])
+def settle(*cells: tuple[float, ...], objects: list[int] | None = None) -> PlacementVerdict:
+    return PlacementVerdict(RigidPhysics().settle(world(list(cells), objects=objects), ROW)[0])
 
 
 def same(a: State, b: State) -> bool:
@@ -80,7 +80,7 @@ def random_columns(rng: np.random.Generator, count: int) -> list[tuple[float, ..
 def test_columns_stand_however_tall(height: int) -> None:
     physics = RigidPhysics()
     state = world([(0, 0, k) for k in range(height)])
-    assert physics.settle(state, ROW)[0] == Verdict.STABLE
+    assert physics.settle(state, ROW)[0] == PlacementVerdict.STABLE
     assert physics.last_speed_sums[0].max() < 0.25 * RULES["block"]
 
 
@@ -88,7 +88,7 @@ def test_wall_of_forty_stands() -> None:
     wall = [(x, 0, z) for z in range(5) for x in range(8)]
     two = [(x, y, z) for z in range(4) for y in range(2) for x in range(5)]
     for cells in (wall, two):
-        assert settle(*cells) == Verdict.STABLE
+        assert settle(*cells) == PlacementVerdict.STABLE
 
 
 @settings(max_examples=15, deadline=None)
@@ -99,7 +99,7 @@ def test_supported_structures_stand_and_stay(seed: int, count: int) -> None:
     # Positions as a simulator leaves them, not on the lattice to the last bit.
     state.position[0, :count] += rng.uniform(-2e-5, 2e-5, (count, 3))
     before = state.copy()
-    assert RigidPhysics().settle(state, ROW)[0] == Verdict.STABLE
+    assert RigidPhysics().settle(state, ROW)[0] == PlacementVerdict.STABLE
     assert np.abs(state.position - before.position)[0, :count, :2].max() < 1e-4
     assert np.abs(state.position - before.position)[0, :count, 2].max() < 1e-3
 
@@ -113,7 +113,7 @@ def test_a_fall_of_one_block_or_more_always_fails(seed: int, count: int, height:
     top = sum(c[:2] == (x, y) for c in cells)
     physics = RigidPhysics()
     state = world([*cells, (x, y, top + height)])
-    assert physics.settle(state, ROW)[0] == Verdict.FLOATING
+    assert physics.settle(state, ROW)[0] == PlacementVerdict.FLOATING
     assert physics.last_speed_sums[0][-1] > 10, "5 cm in steps of 4 ms is 12.5"
     assert state.position[0, count, 2] < EDGE * (top + height) + HALF - 0.9 * EDGE
 
@@ -122,21 +122,21 @@ def test_block_between_neighbours_falls() -> None:
     """Nothing presses the neighbours together (the published engine let a few such stick)."""
     ring = [(-1, 0), (1, 0), (0, -1), (0, 1)]
     cells = [(x, y, z) for z in range(3) for x, y in ring]
-    assert settle(*cells, (0, 0, 2)) == Verdict.FLOATING
+    assert settle(*cells, (0, 0, 2)) == PlacementVerdict.FLOATING
 
 
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize(
     ("overhang", "verdict"),
     [
-        (0.2, Verdict.STABLE),
-        (-0.49, Verdict.STABLE),
-        (0.51, Verdict.UNSTABLE),
-        (-0.6, Verdict.UNSTABLE),
-        (0.9, Verdict.UNSTABLE),
+        (0.2, PlacementVerdict.STABLE),
+        (-0.49, PlacementVerdict.STABLE),
+        (0.51, PlacementVerdict.UNSTABLE),
+        (-0.6, PlacementVerdict.UNSTABLE),
+        (0.9, PlacementVerdict.UNSTABLE),
     ],
 )
-def test_overhang(overhang: float, verdict: Verdict, axis: int) -> None:
+def test_overhang(overhang: float, verdict: PlacementVerdict, axis: int) -> None:
     at = [0.0, 0.0, 1.0]
     at[axis] = overhang
     assert settle((0, 0, 0), tuple(at)) == verdict
@@ -145,12 +145,14 @@ def test_overhang(overhang: float, verdict: Verdict, axis: int) -> None:
 @pytest.mark.parametrize(
     ("last", "verdict"),
     [
-        ((0, 0, 0), Verdict.OVERLAP),
-        ((0.3, 0, 0.5), Verdict.OVERLAP),
-        ((1, 0, -1), Verdict.BELOW_GROUND),
+        ((0, 0, 0), PlacementVerdict.OVERLAP),
+        ((0.3, 0, 0.5), PlacementVerdict.OVERLAP),
+        ((1, 0, -1), PlacementVerdict.BELOW_GROUND),
     ],
 )
-def test_geometric_facts_are_not_simulated(last: tuple[float, ...], verdict: Verdict) -> None:
+def test_geometric_facts_are_not_simulated(
+    last: tuple[float, ...], verdict: PlacementVerdict
+) -> None:
     state = world([(0, 0, 0), (0, 0, 1), last])
     before, physics = state.copy(), RigidPhysics()
     assert physics.settle(state, ROW)[0] == verdict
@@ -161,12 +163,15 @@ def test_geometric_facts_are_not_simulated(last: tuple[float, ...], verdict: Ver
 def test_rules_and_thresholds() -> None:
     cells = [(x, 0, 0) for x in range(30)]
     fine = RigidPhysics("block", threshold=0.006)
-    assert fine.settle(world(cells), ROW)[0] == Verdict.STABLE
+    assert fine.settle(world(cells), ROW)[0] == PlacementVerdict.STABLE
     sums = fine.last_speed_sums[0]
     assert sums.shape == (30,)
     assert sums.sum() > 0.006 > sums.max() > 0
-    assert RigidPhysics("sum", threshold=0.006).settle(world(cells), ROW)[0] == Verdict.UNSTABLE
-    assert RigidPhysics("sum").settle(world(cells), ROW)[0] == Verdict.STABLE
+    assert (
+        RigidPhysics("sum", threshold=0.006).settle(world(cells), ROW)[0]
+        == PlacementVerdict.UNSTABLE
+    )
+    assert RigidPhysics("sum").settle(world(cells), ROW)[0] == PlacementVerdict.STABLE
     assert RigidPhysics("sum").threshold == 1.0
     with pytest.raises(UnknownNameError, match="did you mean 'block'"):
         RigidPhysics("blok")
@@ -177,7 +182,7 @@ def test_rules_and_thresholds() -> None:
 
 def test_a_finer_step_gives_the_same_path_length() -> None:
     coarse, fine = RigidPhysics(), RigidPhysics(timestep=0.002, settle_steps=100)
-    for overhang, verdict in ((0.4, Verdict.STABLE), (0.6, Verdict.UNSTABLE)):
+    for overhang, verdict in ((0.4, PlacementVerdict.STABLE), (0.6, PlacementVerdict.UNSTABLE)):
         for physics in (coarse, fine):
             state = world([(0, 0, 0), (overhang, 0, 1)])
             assert physics.settle(state, ROW)[0] == verdict
@@ -206,9 +211,9 @@ def play(seed: int, steps: int) -> tuple[int, int, int]:
         state.num_placed[0] = count + 1
         expected = static.settle(state, ROW)[0]
         found = rigid.settle(state, ROW)[0]
-        agree += int((found == Verdict.STABLE) == (expected == Verdict.STABLE))
-        valid += int(found == Verdict.STABLE)
-        if found != Verdict.STABLE:
+        agree += int((found == PlacementVerdict.STABLE) == (expected == PlacementVerdict.STABLE))
+        valid += int(found == PlacementVerdict.STABLE)
+        if found != PlacementVerdict.STABLE:
             state.put(ROW, before)
     return steps, agree, valid
 
@@ -237,7 +242,7 @@ def test_static_and_rigid_agree_on_objects_of_several_cells() -> None:
             together, names = cells + new, ids + [number] * len(new)
             state = world(together, objects=names)
             placed = state.position[0, : len(together)].copy()
-            found = rigid.settle(state, ROW)[0] == Verdict.STABLE
+            found = rigid.settle(state, ROW)[0] == PlacementVerdict.STABLE
             expected = is_stable(placed, np.array(names))
             steps, agree, stable = steps + 1, agree + int(found == expected), stable + int(found)
             if found and expected:
@@ -252,24 +257,27 @@ def test_static_and_rigid_agree_on_objects_of_several_cells() -> None:
 
 def test_bars_hold_as_one_body() -> None:
     bridge = [(0, 0, 0), (2, 0, 0), (0, 0, 1), (1, 0, 1), (2, 0, 1)]
-    assert settle(*bridge, objects=[0, 1, 2, 2, 2]) == Verdict.STABLE
-    assert settle((0, 0, 0), (2, 0, 0), (1, 0, 1)) == Verdict.FLOATING
+    assert settle(*bridge, objects=[0, 1, 2, 2, 2]) == PlacementVerdict.STABLE
+    assert settle((0, 0, 0), (2, 0, 0), (1, 0, 1)) == PlacementVerdict.FLOATING
     end = [(0, 0, 0), (0, 0, 1), (1, 0, 1), (2, 0, 1)]
-    assert settle(*end, objects=[0, 1, 1, 1]) == Verdict.UNSTABLE
+    assert settle(*end, objects=[0, 1, 1, 1]) == PlacementVerdict.UNSTABLE
     assert (
         settle(*end, (0, 0, 2), (0, 0, 3), (0, 0, 4), (0, 0, 5), objects=[0, 1, 1, 1, 2, 3, 4, 5])
-        == Verdict.STABLE
+        == PlacementVerdict.STABLE
     )
-    assert settle(*end, (0, 0, 1), objects=[0, 1, 1, 1, 2]) == Verdict.OVERLAP
-    assert settle((0, 0, 1), (1, 0, 1), objects=[4, 4]) == Verdict.FLOATING
-    assert settle((0, 0, 0), (0, 0, -1), objects=[4, 4]) == Verdict.BELOW_GROUND
+    assert settle(*end, (0, 0, 1), objects=[0, 1, 1, 1, 2]) == PlacementVerdict.OVERLAP
+    assert settle((0, 0, 1), (1, 0, 1), objects=[4, 4]) == PlacementVerdict.FLOATING
+    assert settle((0, 0, 0), (0, 0, -1), objects=[4, 4]) == PlacementVerdict.BELOW_GROUND
 
 
 def test_a_falling_object_keeps_its_shape_and_can_be_settled_again() -> None:
     cells = [(0, 0, 0), (0, 0, 1), (1, 0, 1), (2, 0, 1)]
     state, physics = world(cells, objects=[0, 1, 1, 1]), RigidPhysics()
     before = state.copy()
-    for verdict in (Verdict.UNSTABLE, Verdict.STABLE):  # It topples, then leans where it fell.
+    for verdict in (
+        PlacementVerdict.UNSTABLE,
+        PlacementVerdict.STABLE,
+    ):  # It topples, then leans where it fell.
         assert physics.settle(state, ROW)[0] == verdict
         bar, turn = state.position[0, 1:4], state.quaternion[0, 1:4]
         np.testing.assert_allclose(np.linalg.norm(np.diff(bar, axis=0), axis=1), EDGE, atol=1e-9)
@@ -377,7 +385,7 @@ def test_pickling_keeps_the_settings_and_drops_the_worlds() -> None:
     physics.settle(world([(0, 0, 0)]), ROW)
     again = pickle.loads(pickle.dumps(physics))
     assert (again.rule, again.threshold) == ("sum", 2.0)
-    assert again.settle(world([(0, 0, 0)]), ROW)[0] == Verdict.STABLE
+    assert again.settle(world([(0, 0, 0)]), ROW)[0] == PlacementVerdict.STABLE
 
 
 def test_simulator_runs_on_it() -> None:
@@ -387,11 +395,11 @@ def test_simulator_runs_on_it() -> None:
     saved = state.copy()
     up_and_over = np.array([[0, 0, 0], [0, 0, 1]])
     first = simulator.step(state, up_and_over)
-    assert (first.verdict == Verdict.STABLE).all()
+    assert (first.verdict == PlacementVerdict.STABLE).all()
     restored = saved.copy()
     second = simulator.step(restored, up_and_over)
     assert same(state, restored)
     np.testing.assert_array_equal(first.reward, second.reward)
     floating = simulator.step(state, np.array([[0, 1, 1], [0, 0, 1]]))
-    assert floating.verdict.tolist() == [Verdict.FLOATING, Verdict.OVERLAP]
+    assert floating.verdict.tolist() == [PlacementVerdict.FLOATING, PlacementVerdict.OVERLAP]
     assert floating.reward.tolist() == [-1.0, -1.0]

@@ -22,7 +22,7 @@ from learn2assemble.tasks.learning.config import CONFIGS, fit_to
 from learn2assemble.tasks.learning.trainer import Trainer
 from learn2assemble.tasks.networks.agent import make_network
 from learn2assemble.tasks.physics.equilibrium import is_stable
-from learn2assemble.tasks.physics.protocol import Verdict
+from learn2assemble.tasks.physics.protocol import PlacementVerdict
 from learn2assemble.tasks.physics.rigid import RigidPhysics, compile_model, object_parts
 from learn2assemble.tasks.physics.static import StaticPhysics
 from learn2assemble.tasks.physics.support import (
@@ -372,19 +372,24 @@ def pile(pitch: float, *objects: list[tuple[int, int, int]]) -> State:
     return state
 
 
-def verdicts(pitch: float, *objects: list[tuple[int, int, int]]) -> tuple[Verdict, Verdict, bool]:
+def verdicts(
+    pitch: float, *objects: list[tuple[int, int, int]]
+) -> tuple[PlacementVerdict, PlacementVerdict, bool]:
     """What static and rigid physics and the equilibrium program say of the last object."""
     state = pile(pitch, *objects)
     count = int(state.num_placed[0])
     program = is_stable(state.position[0, :count], state.object_id[0, :count])
     static = StaticPhysics().settle(state, np.array([0]))[0]
     rigid = RigidPhysics("object", pitch=pitch).settle(state, np.array([0]))[0]
-    return Verdict(static), Verdict(rigid), program
+    return PlacementVerdict(static), PlacementVerdict(rigid), program
 
 
 L = [(1, 0, 1), (0, 0, 1), (0, 0, 2)]
 """A standing L one level up; its corner stands over (0, 0)."""
-HOLDS, FALLS = (Verdict.STABLE, Verdict.STABLE, True), (Verdict.UNSTABLE, Verdict.UNSTABLE, False)
+HOLDS, FALLS = (
+    (PlacementVerdict.STABLE, PlacementVerdict.STABLE, True),
+    (PlacementVerdict.UNSTABLE, PlacementVerdict.UNSTABLE, False),
+)
 
 
 def test_an_object_on_a_wider_lattice_needs_support_under_its_centre_of_mass() -> None:
@@ -394,7 +399,10 @@ def test_an_object_on_a_wider_lattice_needs_support_under_its_centre_of_mass() -
     assert verdicts(0.06, [(1, 0, 0)], L) == FALLS
     assert verdicts(0.06, [(0, 0, 0)], [(0, 0, 1), (1, 0, 1)]) == FALLS
     assert verdicts(0.06, [(0, 0, 0)], [(1, 0, 0)], [(0, 0, 1), (1, 0, 1)]) == HOLDS
-    assert verdicts(0.06, [(2, 0, 0)], L)[:2] == (Verdict.FLOATING, Verdict.FLOATING)
+    assert verdicts(0.06, [(2, 0, 0)], L)[:2] == (
+        PlacementVerdict.FLOATING,
+        PlacementVerdict.FLOATING,
+    )
 
 
 def test_the_filler_weighs_as_much_as_a_cube() -> None:
@@ -462,16 +470,19 @@ def test_static_and_rigid_agree_on_random_objects() -> None:
         state = random_pile(rng, 12)
         verdict = static.settle(state, np.array([0]))[0]
         assert verdict == rigid.settle(state, np.array([0]))[0]
-        found[Verdict(int(verdict))] += 1
-    assert found[Verdict.STABLE] > 30
-    assert found[Verdict.UNSTABLE] > 0
+        found[PlacementVerdict(int(verdict))] += 1
+    assert found[PlacementVerdict.STABLE] > 30
+    assert found[PlacementVerdict.UNSTABLE] > 0
 
 
 def test_an_object_off_its_lattice_is_refused_by_rigid_physics() -> None:
     state = pile(0.06, [(0, 0, 0)], [(1, 0, 0), (2, 0, 0)])
     with pytest.raises(InputError, match="cells on one 5 cm lattice"):
         RigidPhysics("object").settle(state, np.array([0]))
-    assert RigidPhysics("object", pitch=0.06).settle(state, np.array([0]))[0] == Verdict.STABLE
+    assert (
+        RigidPhysics("object", pitch=0.06).settle(state, np.array([0]))[0]
+        == PlacementVerdict.STABLE
+    )
 
 
 def test_every_shape_stands_on_the_table() -> None:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from learn2assemble.errors import InputError
 from learn2assemble.tasks.search.config import TO_THE_END, SearchConfig
 from learn2assemble.tasks.search.mcts import epsilon_greedy_expansions, final_key, search
-from learn2assemble.tasks.search.tree import ActionValues, Node
+from learn2assemble.tasks.search.tree import ActionValues, TreeNode
 from search_data import (
     THREE,
     Edge,
@@ -176,7 +176,7 @@ def test_large_budget_explores_everything_once(seed: int, epsilon: float) -> Non
     assert size(decision.root) == actions
     assert decision.root.visits == actions
 
-    def check(node: Node) -> None:
+    def check(node: TreeNode) -> None:
         for child in node.children.values():
             assert child.visits == 1 + size(child)
             check(child)
@@ -254,9 +254,9 @@ def test_final_choice_is_random_with_epsilon_one() -> None:
 
 def test_equal_values_are_chosen_at_random() -> None:
     """Ties at random."""
-    node = Node(None, legal=ActionValues(np.zeros((3, 3), np.int64), np.zeros(3), np.arange(3)))
+    node = TreeNode(None, legal=ActionValues(np.zeros((3, 3), np.int64), np.zeros(3), np.arange(3)))
     for key, total in enumerate((2.0, 2.0, 1.0)):
-        node.children[key] = Node(None, visits=2, total=total)
+        node.children[key] = TreeNode(None, visits=2, total=total)
     rng = np.random.default_rng(0)
     counts = Counter(final_key(node, SearchConfig(), rng) for _ in range(400))
     assert set(counts) == {0, 1}

@@ -20,7 +20,7 @@ from learn2assemble.tasks.search.config import (
     training_search,
 )
 from learn2assemble.tasks.search.mcts import completed_policy, final_key, gumbel_scores, search
-from learn2assemble.tasks.search.tree import Node
+from learn2assemble.tasks.search.tree import TreeNode
 from search_data import Edge, TreeModel, best_return, decide, explored, random_tree, root, size
 
 UCT = {"expansion": "uct", "prior": False, "repeats": True}
@@ -345,7 +345,7 @@ def test_variants_keep_roots_apart_and_their_books(name: str, seed: int, budget:
         assert_books(decision.root, config)
 
 
-def assert_books(node: Node, config: SearchConfig, level: int = 0) -> None:
+def assert_books(node: TreeNode, config: SearchConfig, level: int = 0) -> None:
     assert level <= config.depth
     if node.legal is None:
         return
@@ -364,9 +364,9 @@ def assert_books(node: Node, config: SearchConfig, level: int = 0) -> None:
 
 def test_final_choices() -> None:
     """``best-mean`` and ``most-visits`` differ; equal visits are parted by the mean."""
-    node = Node(None)
+    node = TreeNode(None)
     for key, (visits, total) in enumerate(((1, 3.0), (4, 4.0), (4, 6.0))):
-        node.children[key] = Node(None, key=key, visits=visits, total=total)
+        node.children[key] = TreeNode(None, key=key, visits=visits, total=total)
     rng = np.random.default_rng(0)
     assert final_key(node, SearchConfig(final="best-mean"), rng) == 0
     assert final_key(node, SearchConfig(final="most-visits"), rng) == 2

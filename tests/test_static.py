@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from learn2assemble.constants import EDGE, HALF
 from learn2assemble.tasks.physics.equilibrium import is_stable
-from learn2assemble.tasks.physics.protocol import Verdict
+from learn2assemble.tasks.physics.protocol import PlacementVerdict
 from learn2assemble.tasks.physics.static import StaticPhysics, survey
 from learn2assemble.tasks.physics.support import classify_cube
 from learn2assemble.tasks.simulator import Simulator
@@ -27,7 +27,7 @@ SHIFTS = np.array([0.0, 0.0, 0.0, 4e-4, -7e-4, 1.3e-3, -1.7e-3, 2.6e-3, -4.1e-3,
 """Displacements from the lattice [m], on both sides of every tolerance."""
 
 
-def brute(placed: np.ndarray, cube: np.ndarray) -> Verdict | None:
+def brute(placed: np.ndarray, cube: np.ndarray) -> PlacementVerdict | None:
     """The rule in words: None where a tolerance is met to the nanometre."""
     close = []
 
@@ -50,12 +50,12 @@ def brute(placed: np.ndarray, cube: np.ndarray) -> Verdict | None:
     if any(close):
         return None
     if buried:
-        return Verdict.BELOW_GROUND
+        return PlacementVerdict.BELOW_GROUND
     if overlaps:
-        return Verdict.OVERLAP
+        return PlacementVerdict.OVERLAP
     if on_ground or centred:
-        return Verdict.STABLE
-    return Verdict.UNDECIDED if stands else Verdict.FLOATING
+        return PlacementVerdict.STABLE
+    return PlacementVerdict.UNDECIDED if stands else PlacementVerdict.FLOATING
 
 
 def random_cells(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -85,11 +85,11 @@ def test_random_cells_are_of_every_kind() -> None:
         cells = random_cells(rng, 4)
         kinds.add(brute(cells[:3], cells[3]))
     assert kinds >= {
-        Verdict.STABLE,
-        Verdict.OVERLAP,
-        Verdict.BELOW_GROUND,
-        Verdict.FLOATING,
-        Verdict.UNDECIDED,
+        PlacementVerdict.STABLE,
+        PlacementVerdict.OVERLAP,
+        PlacementVerdict.BELOW_GROUND,
+        PlacementVerdict.FLOATING,
+        PlacementVerdict.UNDECIDED,
     }
 
 
@@ -106,8 +106,8 @@ def test_column_rule_agrees_with_equilibrium_on_the_lattice(
     assume(cell not in cells)
     centres = EDGE * np.array([*cells, cell], float) + [0, 0, HALF]
     verdict = classify_cube(centres, len(cells), *centres[-1].tolist(), HALF)
-    assert verdict in (Verdict.STABLE, Verdict.FLOATING)
-    assert (verdict == Verdict.STABLE) == is_stable(centres, np.arange(len(centres)))
+    assert verdict in (PlacementVerdict.STABLE, PlacementVerdict.FLOATING)
+    assert (verdict == PlacementVerdict.STABLE) == is_stable(centres, np.arange(len(centres)))
 
 
 # ---------------------------------------------------------------- survey and settle
@@ -128,7 +128,7 @@ def leaning_state(rng: np.random.Generator, batch: int, count: int) -> State:
             new = base + step
             found = classify_cube(np.array(cells), len(cells), *new.tolist(), HALF)
             together = np.array([*cells, new])
-            if found in (Verdict.STABLE, Verdict.UNDECIDED) and is_stable(
+            if found in (PlacementVerdict.STABLE, PlacementVerdict.UNDECIDED) and is_stable(
                 together, np.arange(len(together))
             ):
                 cells.append(new)
@@ -142,7 +142,7 @@ def leaning_state(rng: np.random.Generator, batch: int, count: int) -> State:
 def settle_all(state: State) -> np.ndarray:
     """The verdict of a real placement next to every placed block, one by one."""
     physics = StaticPhysics()
-    verdict = np.full((*state.position.shape[:2], 5), int(Verdict.OVERLAP), np.int8)
+    verdict = np.full((*state.position.shape[:2], 5), int(PlacementVerdict.OVERLAP), np.int8)
     for row in range(state.batch_size):
         for reference in range(state.num_placed[row]):
             for relation in range(5):
@@ -162,12 +162,14 @@ def test_survey_is_the_verdict_of_every_step_also_off_the_lattice(seed: int) -> 
     found = survey(state)
     assert np.array_equal(found, settle_all(state))
     assert all(np.array_equal(a, b) for a, b in zip(state, before, strict=True))
-    assert not (found == Verdict.UNDECIDED).any()
+    assert not (found == PlacementVerdict.UNDECIDED).any()
 
 
 def test_leaning_states_need_the_program() -> None:
     verdicts = [survey(leaning_state(np.random.default_rng(seed), 2, 6)) for seed in range(6)]
-    assert (np.array(verdicts) == Verdict.UNSTABLE).any(), "in contact, but not in equilibrium"
+    assert (np.array(verdicts) == PlacementVerdict.UNSTABLE).any(), (
+        "in contact, but not in equilibrium"
+    )
 
 
 @pytest.mark.parametrize("name", ["two-sided-3x3-20-24", "four-sided-3x3-10-18"])
@@ -177,7 +179,9 @@ def test_survey_is_the_verdict_of_every_step_on_the_lattice(name: str) -> None:
     for _ in range(6):
         found = survey(state)
         assert np.array_equal(found, settle_all(state))
-        chosen = [rng.choice(np.argwhere(found[row] == Verdict.STABLE)) for row in range(2)]
+        chosen = [
+            rng.choice(np.argwhere(found[row] == PlacementVerdict.STABLE)) for row in range(2)
+        ]
         sim.step(state, np.array([[0, *choice] for choice in chosen]))
 
 
@@ -187,6 +191,9 @@ def test_settle_judges_only_the_rows_asked_for() -> None:
     state.position[:, 1] = [(0, 0, HALF), (0, 0, HALF + EDGE), (0, 0, HALF + 2 * EDGE)]
     state.num_placed[:] = state.num_blocks[:] = 2
     physics = StaticPhysics()
-    assert physics.settle(state, np.array([2, 0])).tolist() == [Verdict.FLOATING, Verdict.OVERLAP]
-    assert physics.settle(state, np.array([1])).tolist() == [Verdict.STABLE]
+    assert physics.settle(state, np.array([2, 0])).tolist() == [
+        PlacementVerdict.FLOATING,
+        PlacementVerdict.OVERLAP,
+    ]
+    assert physics.settle(state, np.array([1])).tolist() == [PlacementVerdict.STABLE]
     assert len(physics.settle(state, np.array([], np.int64))) == 0

@@ -26,7 +26,7 @@ from l2a_lab.numbers import load_table
 from l2a_lab.recipes import (
     RECIPES,
     Recipe,
-    Stage,
+    RecipeStage,
     copy_logs,
     stage_folder,
     train_recipes,
@@ -52,7 +52,7 @@ TINY_CHANGES = (
     "batch_size=4",
     "initial_samples=8",
 )
-TINY = Recipe("tiny", NAME, (Stage("published", TINY_CHANGES),), seeds=2)
+TINY = Recipe("tiny", NAME, (RecipeStage("published", TINY_CHANGES),), seeds=2)
 
 
 @pytest.fixture
@@ -213,8 +213,10 @@ def test_every_recipe_resolves() -> None:
 
 
 def test_a_later_stage_starts_from_the_earlier(tmp_path: Path) -> None:
-    slow = Stage("published", (*TINY_CHANGES, "learning_rate=1e-9", "final_learning_rate=1e-9"))
-    recipe = Recipe("two", NAME, (Stage("published", TINY_CHANGES), slow), seeds=1)
+    slow = RecipeStage(
+        "published", (*TINY_CHANGES, "learning_rate=1e-9", "final_learning_rate=1e-9")
+    )
+    recipe = Recipe("two", NAME, (RecipeStage("published", TINY_CHANGES), slow), seeds=1)
     told: list[str] = []
     train_recipes([recipe], tmp_path, seeds=1, progress=told.append)
     first, last = (load_agent(str(stage_folder(recipe, 0, tmp_path, n))) for n in (0, 1))
@@ -229,7 +231,9 @@ def test_a_later_stage_starts_from_the_earlier(tmp_path: Path) -> None:
 
 def test_a_run_of_another_recipe_is_not_continued(tmp_path: Path) -> None:
     train_recipes([TINY], tmp_path, seeds=1)
-    other = dataclasses.replace(TINY, stages=(Stage("published", (*TINY_CHANGES, "batch_size=5")),))
+    other = dataclasses.replace(
+        TINY, stages=(RecipeStage("published", (*TINY_CHANGES, "batch_size=5")),)
+    )
     with pytest.raises(InputError, match="a run of the recipe tiny"):
         train_recipes([other], tmp_path, seeds=1)
     (tmp_path / "tiny-s0" / "config.json").write_text("{")

@@ -15,7 +15,7 @@ import torch
 
 from l2a_lab import numbers as published_module
 from l2a_lab.bounds import best_return, return_bound
-from l2a_lab.cell_jobs import Job, jobs, row_cells, run_jobs, share_size, stale
+from l2a_lab.cell_jobs import CellJob, jobs, row_cells, run_jobs, share_size, stale
 from l2a_lab.cells import (
     BOUND,
     Cell,
@@ -32,10 +32,10 @@ from l2a_lab.numbers import (
     NOT_AVAILABLE,
     NOT_MEASURED,
     NOT_TRAINED,
-    Entry,
     Published,
     Summary,
     TableData,
+    TableEntry,
     load_table,
     published,
     student,
@@ -383,9 +383,9 @@ def test_only_missing_and_stale_cells_are_measured(agents: Path, tmp_path: Path)
     # Two agents, two rows, two conditions; the look-ahead; the bound.
     assert len(wanted) == 8 + 2 + 1
     assert {j.cell.seed for j in wanted} == {0}  # the same problems for all
-    seen: list[Job] = []
+    seen: list[CellJob] = []
 
-    def stop_after_five(job: Job) -> None:
+    def stop_after_five(job: CellJob) -> None:
         seen.append(job)
         if len(seen) == 5:
             raise KeyboardInterrupt
@@ -532,7 +532,7 @@ def test_ours_stands_against_the_published_rows_with_or_without_a_search() -> No
     }
     entries = tuple(
         (
-            Entry(
+            TableEntry(
                 row,
                 column,
                 PAPER_CELL if number is None else None,

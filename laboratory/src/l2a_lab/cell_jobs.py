@@ -37,7 +37,7 @@ as long as the slowest."""
 
 
 @dataclass(frozen=True)
-class Job:
+class CellJob:
     """A cell to measure."""
 
     cell: Cell
@@ -105,7 +105,7 @@ def jobs(
     agents: dict[str, Path],
     episodes: int | None = None,
     max_agents: int | None = None,
-) -> list[Job]:
+) -> list[CellJob]:
     """Everything a table is made of, every cell once.
 
     Args:
@@ -132,7 +132,7 @@ def jobs(
             count[bound.path] = max(end, count.get(bound.path, 0))
     hashes = {name: agent_hash(agents[name]) for name in {c.agent for c in cells.values()} if name}
     return [
-        Job(
+        CellJob(
             cell,
             str(agents[cell.agent]) if cell.agent else None,
             hashes.get(cell.agent),
@@ -142,7 +142,7 @@ def jobs(
     ]
 
 
-def stale(root: Path, wanted: list[Job]) -> list[Job]:
+def stale(root: Path, wanted: list[CellJob]) -> list[CellJob]:
     """Those without a current result below ``root``, the longest first."""
     left = [j for j in wanted if not is_current(root, j.cell, j.agent_hash, j.episodes)]
     return sorted(left, key=lambda job: -job.cost)
@@ -150,9 +150,9 @@ def stale(root: Path, wanted: list[Job]) -> list[Job]:
 
 def run_jobs(
     root: Path,
-    todo: list[Job],
+    todo: list[CellJob],
     workers: int,
-    progress: Callable[[Job], None] = lambda job: None,
+    progress: Callable[[CellJob], None] = lambda job: None,
     ray: str | None = None,
 ) -> None:
     """Measure and write every job; those done before an interruption stay.
@@ -167,5 +167,5 @@ def run_jobs(
             progress(job)
 
 
-def _do(job: Job) -> dict[str, Any]:
+def _do(job: CellJob) -> dict[str, Any]:
     return measure(job.cell, job.agent_file, job.episodes)

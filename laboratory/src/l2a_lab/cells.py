@@ -250,7 +250,7 @@ FORMAT, VERSION = "learn2assemble-cell", 1
 
 
 @dataclass(frozen=True)
-class Result:
+class CellResult:
     """What a result file says."""
 
     cell: Cell
@@ -270,10 +270,10 @@ class Result:
         """One number an episode: float64[E]."""
         return np.asarray(self.data[name], float)
 
-    def head(self, episodes: int) -> Result:
+    def head(self, episodes: int) -> CellResult:
         """The first ``episodes`` of them."""
         cut = {k: v[:episodes] if isinstance(v, list) else v for k, v in self.data.items()}
-        return Result(self.cell, self.agent_hash, {**cut, "episodes": episodes})
+        return CellResult(self.cell, self.agent_hash, {**cut, "episodes": episodes})
 
 
 def write_result(root: Path, cell: Cell, agent_hash: str | None, data: dict[str, Any]) -> Path:
@@ -300,13 +300,13 @@ def write_result(root: Path, cell: Cell, agent_hash: str | None, data: dict[str,
     return file
 
 
-def read_result(file: Path) -> Result | None:
+def read_result(file: Path) -> CellResult | None:
     """A result file; ``None`` where it is absent, damaged or of another version."""
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
         if (data.pop("format"), data.pop("version")) != (FORMAT, VERSION):
             return None
-        result = Result(Cell.from_dict(data.pop("cell")), data.pop("agent_hash"), data)
+        result = CellResult(Cell.from_dict(data.pop("cell")), data.pop("agent_hash"), data)
         counts = {len(v) for v in data.values() if isinstance(v, list)}
         return result if counts == {result.episodes} else None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):

@@ -59,7 +59,7 @@ class Curves:
 
 
 @dataclass(frozen=True)
-class Curve:
+class LearningCurve:
     """Mean and range over the seeds of one line."""
 
     label: str
@@ -115,7 +115,7 @@ _ALL = (
 FIGURES: dict[str, Curves] = {figure.name: figure for figure in _ALL}
 
 
-def load_curves(figure: Curves, runs: Path) -> list[Curve]:
+def load_curves(figure: Curves, runs: Path) -> list[LearningCurve]:
     """Curves of the lines that have runs below ``runs`` (folders with a ``log.jsonl``).
 
     Raises:
@@ -198,7 +198,7 @@ def read_log(file: Path) -> dict[str, np.ndarray]:
     return dict(zip(_COLUMNS, table.T.copy(), strict=True))
 
 
-def _average(label: str, logs: list[dict[str, np.ndarray]]) -> Curve:
+def _average(label: str, logs: list[dict[str, np.ndarray]]) -> LearningCurve:
     """Mean, lowest and highest over seeds, on the samples that all of them have."""
     first = max(log["samples"][0] for log in logs)
     last = min(log["samples"][-1] for log in logs)
@@ -207,7 +207,7 @@ def _average(label: str, logs: list[dict[str, np.ndarray]]) -> Curve:
     for key in QUANTITIES:
         lines = np.array([_smooth(np.interp(samples, g["samples"], g[key])) for g in logs])
         mean[key], low[key], high[key] = lines.mean(0), lines.min(0), lines.max(0)
-    return Curve(label, len(logs), samples, mean, low, high)
+    return LearningCurve(label, len(logs), samples, mean, low, high)
 
 
 def _smooth(values: np.ndarray) -> np.ndarray:
@@ -224,7 +224,7 @@ TIMED_WORLDS, TIMED_SECONDS = 16, 0.5
 """Worlds that decide side by side, and processor time a measurement takes at least."""
 
 
-def load_scaled(root: Path, times: dict[str, dict[str, float]]) -> list[Curve]:
+def load_scaled(root: Path, times: dict[str, dict[str, float]]) -> list[LearningCurve]:
     """The rows with numbers below ``root`` over the grid, one agent's or a mean over agents, of
     the quantities ``SCALING``.
 
@@ -236,7 +236,7 @@ def load_scaled(root: Path, times: dict[str, dict[str, float]]) -> list[Curve]:
     """
     table = get_table(SIZES)
     grid = np.array([column.preset.grid for column in table.columns], float)
-    out: list[Curve] = []
+    out: list[LearningCurve] = []
     for row, entries in zip(table.rows, load_table(table, root).entries, strict=True):
         found = [entry.results.get(Condition(0.0)) for entry in entries]
         if any(found):
@@ -246,7 +246,7 @@ def load_scaled(root: Path, times: dict[str, dict[str, float]]) -> list[Curve]:
             }
             measured = [times.get(_timed_name(row, c.task), {}) for c in table.columns]
             values["ms"] = np.array([entry.get("ms", np.nan) for entry in measured])
-            out.append(Curve(row.name, 0, grid, values, values, values))
+            out.append(LearningCurve(row.name, 0, grid, values, values, values))
     if not out:
         raise InputError("results", str(root), f"a folder with cells of the table {SIZES}")
     return out

@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from l2a_lab.curves import LEARNING, Curve
-from l2a_lab.report import Section
+from l2a_lab.curves import LEARNING, LearningCurve
+from l2a_lab.report import TableSection
 from learn2assemble.files import write_file
 from learn2assemble.viewer.picture import ACCENT, INK, LINE, PAPER, SOFT
 
@@ -42,7 +42,7 @@ _EMPTY = {"R": 0.16, "success": 0.36}
 
 def write_curves(
     title: str,
-    lines: Sequence[Curve],
+    lines: Sequence[LearningCurve],
     note: str,
     path: Path,
     panels: Sequence[str] = LEARNING,
@@ -85,7 +85,7 @@ def write_curves(
     save(figure, path, _DPI)
 
 
-def _panel(axes: Axes, quantity: str, lines: Sequence[Curve]) -> None:
+def _panel(axes: Axes, quantity: str, lines: Sequence[LearningCurve]) -> None:
     for line, colour in zip(lines, cycle(_COLOURS), strict=False):
         marker = "o" if len(line.samples) < 20 else None
         axes.plot(
@@ -145,7 +145,9 @@ _TINTS = {"own": "#e3f1f2", "reference": "#f1eee7"}
 """Background of rows by kind; published methods have none."""
 
 
-def write_table(title: str, blocks: Sequence[Section], notes: Sequence[str], path: Path) -> None:
+def write_table(
+    title: str, blocks: Sequence[TableSection], notes: Sequence[str], path: Path
+) -> None:
     """Draw sections below each other, with notes at the foot, into a PNG.
 
     Raises:
@@ -172,7 +174,7 @@ def write_table(title: str, blocks: Sequence[Section], notes: Sequence[str], pat
     save(figure, path, _TABLE_DPI)
 
 
-def _widths(blocks: Sequence[Section]) -> list[float]:
+def _widths(blocks: Sequence[TableSection]) -> list[float]:
     """Width of every column [inch], the same in all blocks."""
     out = []
     for number in range(len(blocks[0].columns)):
@@ -187,7 +189,7 @@ def _widths(blocks: Sequence[Section]) -> list[float]:
     return out
 
 
-def _draw(axes: Axes, block: Section, widths: Sequence[float], top: float) -> None:
+def _draw(axes: Axes, block: TableSection, widths: Sequence[float], top: float) -> None:
     right = [_SIDE + sum(widths[: n + 1]) for n in range(len(widths))]
     write(axes, _SIDE, top + 0.12, block.title, fontsize=11.5, fontweight="bold", color=ACCENT)
     start = 0

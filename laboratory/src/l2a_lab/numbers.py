@@ -15,7 +15,7 @@ import numpy as np
 
 from l2a_lab.bounds import has_bound
 from l2a_lab.cell_jobs import row_cells
-from l2a_lab.cells import BOUND, Cell, Result, measured_agents, read_result
+from l2a_lab.cells import BOUND, Cell, CellResult, measured_agents, read_result
 from l2a_lab.table import Column, Condition, Row, Table
 
 FILE = Path(__file__).with_name("published.csv")
@@ -97,7 +97,7 @@ class Summary:
 
 
 @dataclass(frozen=True)
-class Entry:
+class TableEntry:
     """One row in one column."""
 
     row: Row
@@ -118,12 +118,12 @@ class TableData:
     """A table with its numbers: ``entries[row][column]``."""
 
     table: Table
-    entries: tuple[tuple[Entry, ...], ...]
+    entries: tuple[tuple[TableEntry, ...], ...]
     problems: tuple[int, int]
     """Fewest and most problems of a cell; (0, 0) without results."""
     quick: bool
     left_out: tuple[str, ...]
-    """Result files of the table that are absent."""
+    """CellResult files of the table that are absent."""
 
 
 def load_table(table: Table, root: Path, quick: bool = False) -> TableData:
@@ -148,7 +148,7 @@ def load_table(table: Table, root: Path, quick: bool = False) -> TableData:
     return TableData(table, entries, span, quick, tuple(sorted(missing)))
 
 
-Results = dict[Condition, list[Result]]
+Results = dict[Condition, list[CellResult]]
 """Of one row in one column; of all its agents."""
 
 
@@ -166,7 +166,7 @@ def _results(table: Table, row: Row, number: int, root: Path, missing: set[str])
     return {key: _shares(results) for key, results in found.items()} if cells else None
 
 
-def _shares(results: list[Result]) -> list[Result]:
+def _shares(results: list[CellResult]) -> list[CellResult]:
     """Of agents that share the problems as much as each has played: the first share may be the
     beginning of more; shares of another size are left out."""
     size = min(result.episodes for result in results)
@@ -184,7 +184,7 @@ def _entry(
     root: Path,
     results: Results | None,
     reference: Results | None,
-) -> Entry:
+) -> TableEntry:
     column, state = table.columns[number], ""
     if results is None:
         state = NOT_TRAINED if row.agents else NOT_AVAILABLE
@@ -196,14 +196,14 @@ def _entry(
         if good:
             other = None if results is reference else base
             summaries[condition] = _summary(table, condition, good, other, root)
-    return Entry(row, column, published(table, row, column), state, summaries)
+    return TableEntry(row, column, published(table, row, column), state, summaries)
 
 
 def _summary(
     table: Table,
     condition: Condition,
-    results: list[Result],
-    base: list[Result] | None,
+    results: list[CellResult],
+    base: list[CellResult] | None,
     root: Path,
 ) -> Summary:
     def mean(name: str) -> float:
@@ -233,7 +233,7 @@ def _summary(
     )
 
 
-def _by_problem(results: list[Result]) -> np.ndarray:
+def _by_problem(results: list[CellResult]) -> np.ndarray:
     """float64[E]: mean return on each problem of the agents that have played it; NaN of none."""
     total, count = np.zeros((2, max(result.first + result.episodes for result in results)))
     for result in results:
@@ -269,7 +269,7 @@ def student(count: int) -> float:
     return round(float(stdtrit(count - 1, 0.975)), 3)
 
 
-def _bounds(results: list[Result], root: Path) -> np.ndarray | None:
+def _bounds(results: list[CellResult], root: Path) -> np.ndarray | None:
     """float64[A]: mean upper bound of the very problems that each agent played."""
     means = []
     for result in results:

@@ -71,7 +71,7 @@ class Inventory(NamedTuple):
     """How many objects of each shape there are."""
 
 
-class Pose(NamedTuple):
+class ShapePose(NamedTuple):
     """One shape at one place."""
 
     shape: int
@@ -88,7 +88,7 @@ def turned(shape: np.ndarray, turns: int) -> np.ndarray:
     return np.stack([x, y, z], -1)
 
 
-def gaining_poses(lattice: Lattice, inventory: Inventory, rotations: int = 4) -> list[Pose]:
+def gaining_poses(lattice: Lattice, inventory: Inventory, rotations: int = 4) -> list[ShapePose]:
     """Every pose of every shape that gains pixels, above the table and off the taken cells.
 
     Args:
@@ -111,7 +111,7 @@ def gaining_poses(lattice: Lattice, inventory: Inventory, rotations: int = 4) ->
             rows = [row[cell] for cell in cells if cell in row]
             gains = np.asarray(lattice.shows[rows].any(0) & ~lattice.hides[rows].any(0))
             if gains.any():
-                poses.append(Pose(number, cells, gains))
+                poses.append(ShapePose(number, cells, gains))
     return poses
 
 
@@ -149,7 +149,7 @@ def most_pixels(
 
 
 def _packing(
-    poses: list[Pose], groups: np.ndarray, weight: np.ndarray, counts: Sequence[int]
+    poses: list[ShapePose], groups: np.ndarray, weight: np.ndarray, counts: Sequence[int]
 ) -> tuple[int, highspy.Highs]:
     """The integer program, and its row that limits the number of objects."""
     cells = sorted({cell for pose in poses for cell in pose.cells})

@@ -25,7 +25,7 @@ LOGS = ("config.json", "log.jsonl")
 
 
 @dataclass(frozen=True)
-class Stage:
+class RecipeStage:
     """A named configuration, fitted to the task, with some settings changed (``KEY=VALUE``)."""
 
     config: str = "published"
@@ -41,7 +41,7 @@ class Recipe:
 
     name: str
     task: str
-    stages: tuple[Stage, ...] = (Stage(),)
+    stages: tuple[RecipeStage, ...] = (RecipeStage(),)
     seeds: int = SEEDS
 
 
@@ -65,11 +65,11 @@ _AGAIN = ("learning_rate=0.001", "final_learning_rate=0.00003", "epsilon_samples
 
 
 def _published(name: str, task: str, *changes: str) -> Recipe:
-    return Recipe(name, task, (Stage(changes=changes),))
+    return Recipe(name, task, (RecipeStage(changes=changes),))
 
 
 def _ablation(name: str, *changes: str) -> Recipe:
-    stage = Stage("relational", ("num_samples=24000", "epsilon_samples=8000", *changes))
+    stage = RecipeStage("relational", ("num_samples=24000", "epsilon_samples=8000", *changes))
     return Recipe(f"ablation-{name}", _CUBES, (stage,))
 
 
@@ -84,18 +84,18 @@ _ALL = (
     _published("bars-partial", _BARS, _EDGES),
     _published("objects", _OBJECTS, _EDGES, "num_samples=480000"),
     _published("robot-two-sided", _ROBOT_TWO),
-    Recipe("robot-two-sided-paper", _ROBOT_TWO, (Stage("paper"),)),
-    Recipe("robot-four-sided", _ROBOT_FOUR, (Stage(), Stage(changes=_AGAIN))),
+    Recipe("robot-two-sided-paper", _ROBOT_TWO, (RecipeStage("paper"),)),
+    Recipe("robot-four-sided", _ROBOT_FOUR, (RecipeStage(), RecipeStage(changes=_AGAIN))),
     _published("robot-objects", _ROBOT_OBJECTS),
     _published("robot-one-sided", "robot-one-sided-5x5-15-17", _SHORTER),
     _published("one-sided", "one-sided-5x5-15-17", _SHORTER),
-    Recipe("relational-cubes", _LARGE, (Stage("relational", ("num_samples=120000",)),)),
-    Recipe("relational-bars", _BARS, (Stage("relational", (_SHORT,)),)),
-    Recipe("relational-objects", _OBJECTS, (Stage("relational-objects"),)),
-    Recipe("relational-two-sided", _ROBOT_TWO, (Stage("relational", (_SHORT, _NO_HAND)),)),
-    Recipe("relational-four-sided", _ROBOT_FOUR, (Stage("relational"),)),
-    Recipe("relational-walls", _WALLS, (Stage("relational", (_SHORT,)),)),
-    Recipe("relational-robot-objects", _ROBOT_OBJECTS, (Stage("relational-objects"),)),
+    Recipe("relational-cubes", _LARGE, (RecipeStage("relational", ("num_samples=120000",)),)),
+    Recipe("relational-bars", _BARS, (RecipeStage("relational", (_SHORT,)),)),
+    Recipe("relational-objects", _OBJECTS, (RecipeStage("relational-objects"),)),
+    Recipe("relational-two-sided", _ROBOT_TWO, (RecipeStage("relational", (_SHORT, _NO_HAND)),)),
+    Recipe("relational-four-sided", _ROBOT_FOUR, (RecipeStage("relational"),)),
+    Recipe("relational-walls", _WALLS, (RecipeStage("relational", (_SHORT,)),)),
+    Recipe("relational-robot-objects", _ROBOT_OBJECTS, (RecipeStage("relational-objects"),)),
     _ablation("full"),
     _ablation("no-dense-labels", "dense_weight=0"),
     _ablation("single-q", "double=false"),
@@ -156,7 +156,7 @@ def copy_logs(recipes: list[Recipe], runs: Path, folder: Path) -> None:
                         write_file(folder / source.name / file, content, "log")
 
 
-def _check(folder: Path, recipe: Recipe, stage: Stage) -> None:
+def _check(folder: Path, recipe: Recipe, stage: RecipeStage) -> None:
     """Refuse to continue what was started with another configuration."""
     file = folder / "config.json"
     if not file.is_file():

@@ -44,7 +44,7 @@ from learn2assemble.errors import InputError, look_up
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.grasps import get_grasps
 from learn2assemble.robot.moves import Move, Scene
-from learn2assemble.tasks.physics.protocol import Physics, Verdict
+from learn2assemble.tasks.physics.protocol import Physics, PlacementVerdict
 from learn2assemble.tasks.physics.static import StaticPhysics
 from learn2assemble.tasks.task import Task, get_task
 from learn2assemble.tasks.world.blocks import DIRECTIONS
@@ -250,7 +250,7 @@ def _check_indices(line: Line, num_unplaced: int, num_actions: int) -> None:
             raise ValueError(f"{name} is {value!r}, not an index below {limit}")
 
 
-class _Outcome(NamedTuple):
+class _ReplayOutcome(NamedTuple):
     valid: bool
     reward: float
     done: bool
@@ -265,7 +265,7 @@ def _repeat(
     unplaced: list[list[float]],
     objects: list[int] | None,
     physics: Physics,
-) -> _Outcome:
+) -> _ReplayOutcome:
     """Our outcome of the recorded action from the recorded state."""
     task, spec = scene.task, scene.task.action_spec
     state = scene.place(line["placed"], len(unplaced))
@@ -286,12 +286,12 @@ def _repeat(
         state.position[0, :count] = line["placed_after"]
     recover_all(state, 0, scene.frames, scene.depths)
     count_row(state, 0)
-    valid = bool(verdict == Verdict.STABLE)
+    valid = bool(verdict == PlacementVerdict.STABLE)
     reward, done, _ = reward_and_end(
         state, 0, previous, valid, REWARDS[task.reward], task.success_threshold
     )
     state.quaternion[0] = (1.0, 0.0, 0.0, 0.0)
-    return _Outcome(valid, reward, done, (centres, object_id, new))
+    return _ReplayOutcome(valid, reward, done, (centres, object_id, new))
 
 
 CLASSES = {
@@ -360,7 +360,7 @@ def replay_robot_file(path: Path) -> RobotReport:
     return report
 
 
-class Order(NamedTuple):
+class ReplayOrder(NamedTuple):
     """What a line asks of the arm."""
 
     task: Task
@@ -370,7 +370,7 @@ class Order(NamedTuple):
     """Whether the reference is below the target."""
 
 
-def recorded_order(line: Line, log: Log) -> Order:
+def recorded_order(line: Line, log: Log) -> ReplayOrder:
     """Scene and move of a recorded line; KeyError, ValueError where it lacks something.
 
     Blocks stand upright and unturned, as far as the log says.
@@ -394,12 +394,12 @@ def recorded_order(line: Line, log: Log) -> Order:
     scene = Scene(np.vstack([placed, waiting]), np.zeros(len(number)), number, count)
     if not (0 <= line["blk"] < len(waiting) and len(number) <= MAX_CELLS):
         raise ValueError(f"blk is {line['blk']!r} of {len(waiting)}")
-    return Order(
+    return ReplayOrder(
         task, scene, Move(count + line["blk"], target, pair.grasp, pair.place), not relation
     )
 
 
-def simple_rule(order: Order) -> bool:
+def simple_rule(order: ReplayOrder) -> bool:
     """Whether plain geometry calls a move possible: nothing is at the cell or above it, and no
     neighbour on the axis the fingers close along is as high or higher."""
     scene, move, reach = order.scene, order.move, order.task.pitch / 2
@@ -410,7 +410,7 @@ def simple_rule(order: Order) -> bool:
     return not (high & (across < reach) & (along < 3 * reach)).any()
 
 
-def _compare(line: Line, order: Order, cell: PublishedCell, report: RobotReport) -> None:
+def _compare(line: Line, order: ReplayOrder, cell: PublishedCell, report: RobotReport) -> None:
     attempt = cell.attempt(order.scene, order.move, order.top)
     theirs = SUCCESS if line["fail"] is None else look_up("fail", line["fail"], CLASSES)
     agrees = attempt.reached == (not line["invalid"])

@@ -11,7 +11,7 @@ from functools import partial
 from itertools import groupby
 from typing import NamedTuple
 
-from l2a_lab.numbers import EPISODES, Entry, Published, Summary, TableData
+from l2a_lab.numbers import EPISODES, Published, Summary, TableData, TableEntry
 from l2a_lab.table import HELPS, LOOK_AHEAD, MODEL_LABELS, OWN, PAPER_PROTOCOL, Condition
 
 
@@ -45,7 +45,7 @@ HARD = "†"
 PAPER = "paper"
 
 
-class Section(NamedTuple):
+class TableSection(NamedTuple):
     """A block of the table, one task or all of them: a head of two lines, then rows of words."""
 
     title: str
@@ -61,26 +61,29 @@ BRIEF = ("R", "f", "success", "of bound")
 """What fits into a terminal."""
 
 
-class _Column(NamedTuple):
+class _ShownColumn(NamedTuple):
     group: str
     name: str
-    text: Callable[[Entry], str]
+    text: Callable[[TableEntry], str]
 
 
-def _section(title: str, columns: list[_Column], entries: list[Entry]) -> Section:
+def _section(title: str, columns: list[_ShownColumn], entries: list[TableEntry]) -> TableSection:
     groups = [(name, len(list(of))) for name, of in groupby(column.group for column in columns)]
     rows = [[column.text(entry) for column in columns] for entry in entries]
     kinds = [entry.row.kind for entry in entries]
-    return Section(title, groups, [column.name for column in columns], rows, kinds)
+    return TableSection(title, groups, [column.name for column in columns], rows, kinds)
 
 
-def sections(data: TableData, brief: bool = False) -> list[Section]:
+def sections(data: TableData, brief: bool = False) -> list[TableSection]:
     """Everything that was measured, one section a task; ``brief``: the main numbers."""
     table, all_entries = data.table, [entry for line in data.entries for entry in line]
     paper = PAPER if brief else f"{PAPER}, {PAPER_PROTOCOL.label}"
-    columns = [_Column("", "method", lambda entry: entry.row.name), _Column("", "agents", _agents)]
+    columns = [
+        _ShownColumn("", "method", lambda entry: entry.row.name),
+        _ShownColumn("", "agents", _agents),
+    ]
     columns += [
-        _Column(paper, name, partial(_paper, name))
+        _ShownColumn(paper, name, partial(_paper, name))
         for name in ("R", "a", "b", "f")
         if any(e.paper and getattr(e.paper, name) is not None for e in all_entries)
     ]
@@ -93,7 +96,7 @@ def sections(data: TableData, brief: bool = False) -> list[Section]:
             "of bound": condition != Condition(0.0),
         }
         columns += [
-            _Column(ours, name, partial(_ours, condition, name))
+            _ShownColumn(ours, name, partial(_ours, condition, name))
             for name in names
             if not absent.get(name)
         ]
@@ -106,12 +109,12 @@ def sections(data: TableData, brief: bool = False) -> list[Section]:
     return [_section(entries[0].title, columns, entries) for entries in shown]
 
 
-def compact(data: TableData) -> Section:
+def compact(data: TableData) -> TableSection:
     """The main numbers of all tasks in one section: for a terminal and the README."""
     columns = [
-        _Column("", "task", lambda entry: entry.title),
-        _Column("", "method", lambda entry: entry.row.name),
-        _Column(
+        _ShownColumn("", "task", lambda entry: entry.title),
+        _ShownColumn("", "method", lambda entry: entry.row.name),
+        _ShownColumn(
             f"{PAPER}, {PAPER_PROTOCOL.label}",
             "R / f",
             lambda entry: (
@@ -121,9 +124,9 @@ def compact(data: TableData) -> Section:
     ]
     for condition in data.table.conditions:
         ours = f"ours, {condition.label}"
-        columns.append(_Column(ours, "R / f / success", partial(_main, condition)))
+        columns.append(_ShownColumn(ours, "R / f / success", partial(_main, condition)))
         if condition == Condition(0.0):
-            columns.append(_Column(ours, "of bound", partial(_ours, condition, "of bound")))
+            columns.append(_ShownColumn(ours, "of bound", partial(_ours, condition, "of bound")))
     entries = [
         entry
         for line in zip(*data.entries, strict=True)
@@ -233,7 +236,9 @@ def against_paper(data: TableData, condition: Condition) -> list[str]:
     ]
 
 
-def _opponent(line: tuple[Entry, ...], entry: Entry, condition: Condition) -> Summary | None:
+def _opponent(
+    line: tuple[TableEntry, ...], entry: TableEntry, condition: Condition
+) -> Summary | None:
     """Of our agents in one column, what stands against a published number."""
     if entry.row.kind == OWN:
         return entry.results.get(condition)
@@ -257,14 +262,14 @@ def _lacking(paper: Published, ours: Summary) -> set[str]:
     return lacking
 
 
-def headings(section: Section, between: str) -> list[str]:
+def headings(section: TableSection, between: str) -> list[str]:
     """Group and name of every column in one."""
     groups = [name for name, width in section.groups for _ in range(width)]
     pairs = zip(groups, section.columns, strict=True)
     return [f"{group}{between}{column}" if group else column for group, column in pairs]
 
 
-def _markdown_rows(section: Section) -> list[str]:
+def _markdown_rows(section: TableSection) -> list[str]:
     heads = headings(section, ": ")
     left = 2 if heads[0] == "task" else 1
     rule = ["---"] * left + ["---:"] * (len(heads) - left)
@@ -277,18 +282,18 @@ def _escape(text: str) -> str:
     return text.replace("*", "\\*").replace("|", "\\|")
 
 
-def _agents(entry: Entry) -> str:
+def _agents(entry: TableEntry) -> str:
     counts = sorted({summary.agents for summary in entry.results.values()})
     return entry.state or (DASH if not entry.row.agents else "–".join(map(str, counts)))
 
 
-def _paper(name: str, entry: Entry) -> str:
+def _paper(name: str, entry: TableEntry) -> str:
     paper = entry.paper
     more = f" ± {paper.R_ci95:.2f}" if paper and name == "R" and paper.R_ci95 is not None else ""
     return DASH if paper is None else f"{_two(getattr(paper, name))}{more}"
 
 
-def _ours(condition: Condition, name: str, entry: Entry) -> str:
+def _ours(condition: Condition, name: str, entry: TableEntry) -> str:
     ours = entry.results.get(condition)
     if ours is None:
         return DASH
@@ -305,7 +310,7 @@ def _ours(condition: Condition, name: str, entry: Entry) -> str:
     }[name]
 
 
-def _main(condition: Condition, entry: Entry) -> str:
+def _main(condition: Condition, entry: TableEntry) -> str:
     ours = entry.results.get(condition)
     if ours is None:
         return entry.state or DASH
@@ -313,7 +318,7 @@ def _main(condition: Condition, entry: Entry) -> str:
     return f"{_interval_text(ours)}{low} / {ours.f:.2f}{high} / {ours.success:.2f}"
 
 
-def _marks(entry: Entry, condition: Condition, ours: Summary) -> tuple[str, str]:
+def _marks(entry: TableEntry, condition: Condition, ours: Summary) -> tuple[str, str]:
     if not compared(condition):
         return "", ""
     low = f" {LOW}" if below_paper(entry.paper, ours) else ""

@@ -17,7 +17,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.files import check_exists, check_output, read_text, write_file
 
 if TYPE_CHECKING:
-    from l2a_lab.cell_jobs import Job
+    from l2a_lab.cell_jobs import CellJob
     from l2a_lab.numbers import TableData
     from l2a_lab.table import Table
     from learn2assemble.cli.output import Output
@@ -91,7 +91,7 @@ def run_table(options: argparse.Namespace, output: Output) -> None:
         )
         copy_logs(wanted, options.runs, root / "runs")
         agents = find_agents(options.runs)
-    todo: list[Job] = []
+    todo: list[CellJob] = []
     if not options.from_files:
         episodes = options.episodes or (QUICK_EPISODES if options.quick else None)
         jobs = cell_jobs.jobs(table, agents, episodes, most)
@@ -107,7 +107,7 @@ def run_table(options: argparse.Namespace, output: Output) -> None:
     output.finish(_summary(data, len(todo), files))
 
 
-def _words(todo: list[Job], workers: int) -> str:
+def _words(todo: list[CellJob], workers: int) -> str:
     """What is about to be measured, and how long that takes."""
     if not todo:
         return ""
@@ -129,7 +129,7 @@ def prepare(folder: Path) -> None:
         raise InputError("--out", str(folder), f"a writable folder ({reason})") from None
 
 
-def _measure(root: Path, todo: list[Job], name: str, workers: int, ray: str | None) -> None:
+def _measure(root: Path, todo: list[CellJob], name: str, workers: int, ray: str | None) -> None:
     from tqdm import tqdm
 
     from l2a_lab.cell_jobs import run_jobs
@@ -147,7 +147,7 @@ def _measure(root: Path, todo: list[Job], name: str, workers: int, ray: str | No
     ) as bar:
         done = 0
 
-        def advance(job: Job) -> None:
+        def advance(job: CellJob) -> None:
             nonlocal done
             done += 1
             bar.set_postfix_str(f"{done}/{len(todo)} cells, last: {job.cell.path[6:]}")

@@ -24,8 +24,8 @@ from learn2assemble.envs.actions import expand_mask, num_flat_actions, resolve_a
 from learn2assemble.envs.drawing import draw_image, draw_text
 from learn2assemble.errors import InputError, UnknownNameError, is_whole
 from learn2assemble.tasks.graph.features import NUM_FEATURES, POSITION
-from learn2assemble.tasks.physics.protocol import Physics, Verdict
-from learn2assemble.tasks.simulator import Simulator, Transition
+from learn2assemble.tasks.physics.protocol import Physics, PlacementVerdict
+from learn2assemble.tasks.simulator import Simulator, WorldTransition
 from learn2assemble.tasks.task import Task, get_task
 
 WAITING_REACH = 1.25
@@ -33,7 +33,7 @@ WAITING_REACH = 1.25
 MOST_ENVS = 100_000
 """Worlds stepped at once."""
 RENDER_MODES = ("ansi", "rgb_array")
-_VERDICTS = {verdict.value: verdict.name for verdict in Verdict}
+_VERDICTS = {verdict.value: verdict.name for verdict in PlacementVerdict}
 
 
 # ---------------------------------------------------------------- spaces and actions
@@ -102,7 +102,7 @@ class _Worlds:
         if not self._started:
             raise ResetNeeded("call reset() first")
 
-    def _place(self, flat: ArrayLike) -> tuple[Transition, list[dict[str, Any]]]:
+    def _place(self, flat: ArrayLike) -> tuple[WorldTransition, list[dict[str, Any]]]:
         """Step every world that has not ended; what happened, and what infos say of it."""
         actions, clipped = resolve_actions(self.task, self.state, self._checked(flat))
         done = self.simulator.step(self.state, actions)
@@ -166,8 +166,8 @@ class AssemblyEnv(_Worlds, gymnasium.Env[dict[str, Any], np.int64]):
     ``info``: ``action_masks`` int8[N*N*Na]: legal, as ``action_space.sample`` wants it;
     ``physics_mask`` int8[N*N*Na]: legal, free and stable by static physics, a help the paper's
     agent does not have, never applied; ``coverage`` and ``plane_coverage``: F_co and F_pl; and
-    after a step ``verdict`` (name of a :class:`~learn2assemble.tasks.physics.protocol.Verdict`),
-    ``success`` and ``clipped``.
+    after a step ``verdict`` (name of a
+    :class:`~learn2assemble.tasks.physics.protocol.PlacementVerdict`), ``success`` and ``clipped``.
 
     Args:
         task: the task, or the name of a preset.

@@ -21,7 +21,7 @@ from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.registry import Registry
 from learn2assemble.robot.grasps import QUARTER, GraspPair, along, get_grasps
 from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene, put_down
-from learn2assemble.tasks.physics.protocol import ARM, Physics, Verdict
+from learn2assemble.tasks.physics.protocol import ARM, Physics, PlacementVerdict
 from learn2assemble.tasks.physics.static import StaticPhysics
 from learn2assemble.tasks.task import Task
 from learn2assemble.tasks.world.blocks import GRAVITY
@@ -73,7 +73,7 @@ class ArmPhysics:
         if self.balance is not None:
             verdict = self.balance.settle(state, rows)
         self.last_attempts = [None] * len(rows)
-        for n in np.flatnonzero(verdict == Verdict.STABLE).tolist():
+        for n in np.flatnonzero(verdict == PlacementVerdict.STABLE).tolist():
             scene, move = self.order(state, rows, n)
             attempt = self.last_attempts[n] = self.cell.attempt(scene, move)
             if attempt.outcome != Outcome.REACHED:

@@ -53,7 +53,7 @@ def placement_key(task: Task, state: State, action: np.ndarray, row: int = 0) ->
 
 
 @dataclass(frozen=True)
-class Found:
+class PlayedEpisode:
     """The placements of one episode, as actions int64[3] of the simulator."""
 
     actions: list[np.ndarray]
@@ -89,7 +89,7 @@ def plan_episode(
     seconds: float = 20.0,
     avoid: frozenset[Key] = frozenset(),
     progress: Progress = lambda text: None,
-) -> Found:
+) -> PlayedEpisode:
     """The first episode that fills the target, else the one that fills most.
 
     Args:
@@ -100,7 +100,7 @@ def plan_episode(
         progress: told what is being tried.
     """
     model, tried = _Without(simulator, network, avoid), []
-    best, most = Found([], False, 0, []), -np.inf
+    best, most = PlayedEpisode([], False, 0, []), -np.inf
     for stage, words in enumerate(STAGES):
         progress(words)
         started = time.perf_counter()
@@ -113,7 +113,7 @@ def plan_episode(
         spent = round(time.perf_counter() - started, 3)
         tried.append(plans.SearchStage(words, result, spent))
         if success or cover > most:
-            best, most = Found(actions, success, stage, tried), cover
+            best, most = PlayedEpisode(actions, success, stage, tried), cover
         if success:
             break
     return best

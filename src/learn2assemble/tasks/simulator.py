@@ -38,7 +38,7 @@ from learn2assemble.tasks.world.rules import (
 from learn2assemble.tasks.world.state import State, empty_state
 
 
-class Transition(NamedTuple):
+class WorldTransition(NamedTuple):
     """What one step did; arrays over the batch. Rows that had already ended report zeros."""
 
     reward: np.ndarray
@@ -48,7 +48,7 @@ class Transition(NamedTuple):
     success: np.ndarray
     """bool[B]: the target is filled and everything stands."""
     verdict: np.ndarray
-    """int8[B] of `physics.protocol.Verdict`."""
+    """int8[B] of `physics.protocol.PlacementVerdict`."""
 
 
 @njit(cache=True)
@@ -180,7 +180,7 @@ class Simulator:
         self.reset(state, np.arange(batch), rng)
         return state
 
-    def step(self, state: State, actions: np.ndarray) -> Transition:
+    def step(self, state: State, actions: np.ndarray) -> WorldTransition:
         """Place one object in every row, in place; rows that have ended are left alone.
 
         Args:
@@ -214,7 +214,7 @@ class Simulator:
             ended,
             success,
         )
-        return Transition(reward, ended, success, verdicts)
+        return WorldTransition(reward, ended, success, verdicts)
 
     def random_actions(self, state: State, rng: np.random.Generator) -> np.ndarray:
         """A uniform legal action for every row: int64[B, 3]."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from l2a_lab.builder.network import DEFAULT, Builder, load_builder
-from l2a_lab.builder.search import BUDGET, Outcome, build
+from l2a_lab.builder.search import BUDGET, SearchOutcome, build
 from learn2assemble.assembly.kit import Kit, orientations
 from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import Clock
@@ -121,7 +121,7 @@ def plan_with_agent(
     return tiling, ordering, report, agent.name
 
 
-def _reason(outcome: Outcome, seconds: float) -> str:
+def _reason(outcome: SearchOutcome, seconds: float) -> str:
     """Why it is not complete, in one line."""
     world = outcome.world
     if world.complete:

@@ -51,7 +51,7 @@ _SNAPSHOT = 16
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class SearchOutcome:
     """How far a search came."""
 
     world: LatticeWorld
@@ -81,7 +81,7 @@ def window(world: LatticeWorld, legal: np.ndarray, size: int = WINDOW) -> np.nda
     return legal[np.lexsort((near, origin[legal, 2]))[:size]]
 
 
-class _Search:
+class _BuilderSearch:
     def __init__(
         self, start: LatticeWorld, builder: Builder | None, seed: int, hand: Hand | None
     ) -> None:
@@ -245,7 +245,7 @@ def build(
     seed: int = 0,
     seconds: float = INF,
     hand: Hand | None = None,
-) -> Outcome:
+) -> SearchOutcome:
     """Build a design.
 
     Args:
@@ -257,12 +257,12 @@ def build(
         hand: makes the placements; without one they make themselves.
     """
     start = start if isinstance(start, LatticeWorld) else LatticeWorld(start)
-    clock, search = Clock(seconds), _Search(start, builder, seed, hand)
+    clock, search = Clock(seconds), _BuilderSearch(start, builder, seed, hand)
     decisions: list[float] = []
 
-    def finished(world: LatticeWorld, repairs: int, timed_out: bool = False) -> Outcome:
+    def finished(world: LatticeWorld, repairs: int, timed_out: bool = False) -> SearchOutcome:
         times = tuple(np.diff([*decisions, clock.spent]).tolist())
-        return Outcome(world, search.expanded, repairs, clock.spent, times, timed_out)
+        return SearchOutcome(world, search.expanded, repairs, clock.spent, times, timed_out)
 
     if budget <= 1:
         world = search.world

@@ -53,7 +53,7 @@ HEIGHT_LIMIT = 1e-3
 """The cells of the placed object keep their heights, relative to each other [m]."""
 
 
-class Rules(NamedTuple):
+class BulletRules(NamedTuple):
     """What counts as a disturbance."""
 
     limit: float
@@ -66,11 +66,11 @@ class Rules(NamedTuple):
 
 
 RULES = {
-    "one-sided": Rules(0.035, 3, False),
-    "cubes": Rules(0.01, 2, False),
-    "objects": Rules(0.01, 2, True),
+    "one-sided": BulletRules(0.035, 3, False),
+    "cubes": BulletRules(0.01, 2, False),
+    "objects": BulletRules(0.01, 2, True),
 }
-"""Rules by name."""
+"""BulletRules by name."""
 
 
 class _FailedError(Exception):

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from l2a_lab.bullet.resolution import FIRST, HAND, Contacts
+from l2a_lab.bullet.resolution import FIRST, HAND, ContactPoints
 from learn2assemble.constants import HALF
 from learn2assemble.tasks.world.blocks import GRAVITY
 
@@ -276,7 +276,7 @@ def touching_bodies(m, body):
 @njit(cache=True)
 def contact_points(m, body, position, rotation, awake):
     """The contacts of bodies that are awake, bool[b], the youngest pairs first, as
-    :class:`Contacts`."""
+    :class:`ContactPoints`."""
     rows = np.flatnonzero(m.pair[:, 0] >= 0)
     for r in range(len(rows)):
         if not (awake[body[m.pair[rows[r], 0]]] or awake[body[m.pair[rows[r], 1]]]):
@@ -284,7 +284,7 @@ def contact_points(m, body, position, rotation, awake):
     rows = rows[rows >= 0]
     rows = rows[np.argsort(-m.since[rows], kind="mergesort")]
     total = m.count[rows].sum()
-    out = Contacts(
+    out = ContactPoints(
         np.empty(total, np.int64),
         np.empty(total, np.int64),
         np.empty((total, 3)),

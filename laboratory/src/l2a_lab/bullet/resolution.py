@@ -33,7 +33,7 @@ RESIDUAL = 1e-7
 """Squared change of a velocity below which the sweeps end."""
 
 
-class Contacts(NamedTuple):
+class ContactPoints(NamedTuple):
     """Points where bodies touch."""
 
     first: np.ndarray
@@ -69,7 +69,7 @@ class Drive(NamedTuple):
     """Largest of a motor in a step [N m s]."""
 
 
-class Hold(NamedTuple):
+class HandHold(NamedTuple):
     """The constraint between hand and held object."""
 
     body: int
@@ -114,7 +114,7 @@ def resolve(centre, twist, rates, inverse_mass, contacts, drive, hold, timestep)
         rates: float64[n] of the joints [rad/s].
         inverse_mass: float64[b, 6, 6]: twist per impulse; 0 for what does not move. The hand's is
             filled in here.
-        contacts: see :class:`Contacts`; drive: :class:`Drive`; hold: :class:`Hold`.
+        contacts: see :class:`ContactPoints`; drive: :class:`Drive`; hold: :class:`HandHold`.
         timestep: [s].
     """
     count, n = len(contacts.first), len(rates)

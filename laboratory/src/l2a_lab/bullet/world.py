@@ -26,7 +26,7 @@ from l2a_lab.bullet.contacts import (
     update_manifolds,
     wake,
 )
-from l2a_lab.bullet.resolution import FIRST, HAND, Drive, Hold, resolve
+from l2a_lab.bullet.resolution import FIRST, HAND, Drive, HandHold, resolve
 from learn2assemble.constants import HALF, MASS
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import (
@@ -173,7 +173,7 @@ def inverse_inertia(model: mujoco.MjModel) -> np.ndarray:
     return out
 
 
-class _Shapes(NamedTuple):
+class _BodyShapes(NamedTuple):
     """A compiled set of objects."""
 
     model: mujoco.MjModel
@@ -219,7 +219,7 @@ class BulletWorld:
         self._dof = np.array([m.joint(name).dofadr[0] for name in arm.joints])
         self._mass = np.empty((m.nv, m.nv))
         self._parts = hand_parts(arm, opening)
-        self._known: dict[tuple[Cells, ...], _Shapes] = {}
+        self._known: dict[tuple[Cells, ...], _BodyShapes] = {}
 
     def place(self, scene: Scene) -> None:
         """Start over: the objects of ``scene`` and the arm at home, at rest; motors off."""
@@ -363,14 +363,14 @@ class BulletWorld:
             self._rotation,
         )
 
-    def _hold(self) -> Hold:
+    def _hold(self) -> HandHold:
         error, point = np.zeros(6), np.zeros(3)
         if self._held >= 0:
             rotation = self._rotation[self._held]
             point = self._position[self._held] + rotation @ self._hold_offset
             error[:3] = self._position[HAND] - point
             rotation_vector(rotation, self._rotation[HAND] @ self._hold_turn, error[3:])
-        return Hold(self._held, point, error)
+        return HandHold(self._held, point, error)
 
     def _group(self, scene: Scene) -> tuple[tuple[Cells, ...], np.ndarray, np.ndarray]:
         """Objects sorted by shape, so that few sets are compiled; origins and yaws."""
@@ -396,12 +396,12 @@ class BulletWorld:
         )
 
 
-def _shapes(model: mujoco.MjModel) -> _Shapes:
+def _shapes(model: mujoco.MjModel) -> _BodyShapes:
     inverse_mass = np.zeros(model.nbody)
     inverse_mass[FIRST:] = 1 / model.body_mass[FIRST:]
     centre = model.body_ipos.copy()
     centre[:FIRST] = 0
-    return _Shapes(
+    return _BodyShapes(
         model,
         mujoco.MjData(model),
         model.geom_bodyid.astype(np.int64),

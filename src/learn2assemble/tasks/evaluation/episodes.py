@@ -23,7 +23,7 @@ from learn2assemble.tasks.networks.agent import (
     load_agent,
     one_thread,
 )
-from learn2assemble.tasks.physics.protocol import Physics, Verdict
+from learn2assemble.tasks.physics.protocol import Physics, PlacementVerdict
 from learn2assemble.tasks.search.config import SEARCHES, SearchConfig
 from learn2assemble.tasks.search.mcts import search
 from learn2assemble.tasks.search.tree import SearchModel
@@ -87,7 +87,7 @@ class Episodes(NamedTuple):
     coverage: np.ndarray
     """float64[E]: final F_co."""
     verdict: np.ndarray
-    """int8[E] of :class:`Verdict`, on the last action."""
+    """int8[E] of :class:`PlacementVerdict`, on the last action."""
 
 
 @dataclass(frozen=True)
@@ -236,9 +236,9 @@ def run_episodes(
         seconds=time.perf_counter() - started,
         physics=simulator.physics.name,
         failures={
-            Verdict(number).name.lower().replace("_", "-"): int(count)
+            PlacementVerdict(number).name.lower().replace("_", "-"): int(count)
             for number, count in zip(*np.unique(played.verdict, return_counts=True), strict=True)
-            if number != Verdict.STABLE
+            if number != PlacementVerdict.STABLE
         },
     )
 

@@ -46,7 +46,7 @@ _CORNERS = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]], float)
 _ANGLES = 2 * np.pi / CONE_SIDES * np.arange(CONE_SIDES)
 
 
-class Contacts(NamedTuple):
+class BoxContacts(NamedTuple):
     """Point contacts at the corners of contact patches."""
 
     points: np.ndarray
@@ -60,7 +60,7 @@ class Contacts(NamedTuple):
     """int64[C]: the object that is pushed along the normal."""
 
 
-def find_contacts(centres: np.ndarray, object_id: np.ndarray, slack: float = 0.0) -> Contacts:
+def find_contacts(centres: np.ndarray, object_id: np.ndarray, slack: float = 0.0) -> BoxContacts:
     """Corners of the contact patches between cubes of different objects, and with the ground.
 
     Two cubes touch when the gap along one axis is within CONTACT_TOLERANCE of zero and they
@@ -94,7 +94,7 @@ def find_contacts(centres: np.ndarray, object_id: np.ndarray, slack: float = 0.0
         for k in (u, v):
             points[:, :, k] += (depth[pair, k, None] / 2 + slack) * _CORNERS[None, :, int(k == v)]
         parts.append(_patches(points, axis, body[low], body[high]))
-    return Contacts(*[np.concatenate(field) for field in zip(*parts, strict=True)])
+    return BoxContacts(*[np.concatenate(field) for field in zip(*parts, strict=True)])
 
 
 def is_stable(
@@ -120,7 +120,7 @@ def is_stable(
         InputError: for malformed arrays or a negative friction.
         Learn2AssembleError: where the solver fails.
     """
-    program = _Program(centres, object_id, friction, slack)
+    program = _BalanceProgram(centres, object_id, friction, slack)
     return program.num_objects == 0 or (program.touches_all and program.solve() is not None)
 
 
@@ -135,7 +135,7 @@ def stability_margin(
     """
     reached = []
     for turn in (0.0, np.pi / CONE_SIDES):
-        program = _Program(centres, object_id, friction, turn=turn)
+        program = _BalanceProgram(centres, object_id, friction, turn=turn)
         if program.num_objects == 0:
             return float(friction)
         if not program.touches_all or program.solve() is None:
@@ -161,14 +161,14 @@ def _check(centres: np.ndarray, object_id: np.ndarray) -> tuple[np.ndarray, np.n
     return centres, np.unique(ids, return_inverse=True)[1].reshape(-1)
 
 
-def _patches(points: np.ndarray, axis: int, body_a: np.ndarray, body_b: np.ndarray) -> Contacts:
+def _patches(points: np.ndarray, axis: int, body_a: np.ndarray, body_b: np.ndarray) -> BoxContacts:
     """Four point contacts of every patch; ``points`` is float64[P, 4, 3]."""
     normals = np.zeros((4 * len(points), 3))
     normals[:, axis] = 1.0
-    return Contacts(points.reshape(-1, 3), normals, np.repeat(body_a, 4), np.repeat(body_b, 4))
+    return BoxContacts(points.reshape(-1, 3), normals, np.repeat(body_a, 4), np.repeat(body_b, 4))
 
 
-def _ground_contacts(centres: np.ndarray, body: np.ndarray, slack: float) -> Contacts:
+def _ground_contacts(centres: np.ndarray, body: np.ndarray, slack: float) -> BoxContacts:
     down = np.flatnonzero(np.abs(centres[:, 2] - HALF) <= CONTACT_TOLERANCE)
     points = np.repeat(centres[down][:, None], 4, 1)
     points[:, :, :2] += (HALF + slack) * _CORNERS
@@ -185,7 +185,7 @@ def _fillers(centres: np.ndarray, body: np.ndarray) -> tuple[np.ndarray, np.ndar
     return np.concatenate(found), np.array(owner, np.int64)
 
 
-class _Program:
+class _BalanceProgram:
     """The linear program of one structure: columns are the multipliers, then the load ``a``."""
 
     def __init__(
@@ -201,7 +201,7 @@ class _Program:
         centres, body = _check(centres, object_id)
         contacts = find_contacts(centres, body, slack)
         flat = contacts.normals[:, 2] == 1.0
-        contacts = Contacts(*[field[flat] for field in contacts])
+        contacts = BoxContacts(*[field[flat] for field in contacts])
         self.num_objects = int(body.max()) + 1 if len(body) else 0
         # What fills the gaps of objects is as heavy as a cube.
         filler, its_body = _fillers(centres, body)
@@ -216,7 +216,7 @@ class _Program:
         self._solver: highspy.Highs | None = None
 
     def _columns(
-        self, contacts: Contacts, friction: float, turn: float
+        self, contacts: BoxContacts, friction: float, turn: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Wrenches of the cone generators on both objects, as sparse columns."""
         # Per normal axis, the eight tangents in the plane of the patch.

@@ -14,7 +14,7 @@ ARM = 16
 """Verdicts above are outcomes of an arm: this and the number of the outcome."""
 
 
-class Verdict(IntEnum):
+class PlacementVerdict(IntEnum):
     """Outcome of one placement. Only STABLE is valid."""
 
     STABLE = support.STABLE
@@ -54,6 +54,6 @@ class Physics(Protocol):
         May update ``position`` and ``quaternion`` of placed blocks in place.
 
         Returns:
-            int8[R] of :class:`Verdict`.
+            int8[R] of :class:`PlacementVerdict`.
         """
         ...

@@ -35,7 +35,7 @@ from learn2assemble.robot.scene import (
     rotation_matrix,
     set_options,
 )
-from learn2assemble.tasks.physics.protocol import Verdict
+from learn2assemble.tasks.physics.protocol import PlacementVerdict
 from learn2assemble.tasks.physics.support import classify_cube, filler_centres
 from learn2assemble.tasks.world.blocks import GRAVITY
 from learn2assemble.tasks.world.rules import STABILITY
@@ -249,12 +249,12 @@ class RigidPhysics:
             verdict[n] = self._settle_row(state, int(row))
         return verdict
 
-    def _settle_row(self, state: State, row: int) -> Verdict:
+    def _settle_row(self, state: State, row: int) -> PlacementVerdict:
         count = int(state.num_placed[row])
         position, quaternion = state.position[row, :count], state.quaternion[row, :count]
         object_id = state.object_id[row, :count]
         geometric = _classify_last(position, object_id)
-        if geometric in (Verdict.OVERLAP, Verdict.BELOW_GROUND):
+        if geometric in (PlacementVerdict.OVERLAP, PlacementVerdict.BELOW_GROUND):
             self.last_speed_sums.append(np.empty(0))
             return geometric
         before = position.copy()
@@ -265,8 +265,12 @@ class RigidPhysics:
         if total <= self.threshold and (
             self.rule != "object" or _kept_place(before, position, object_id)
         ):
-            return Verdict.STABLE
-        return Verdict.FLOATING if geometric == Verdict.FLOATING else Verdict.UNSTABLE
+            return PlacementVerdict.STABLE
+        return (
+            PlacementVerdict.FLOATING
+            if geometric == PlacementVerdict.FLOATING
+            else PlacementVerdict.UNSTABLE
+        )
 
     def _simulate(
         self, position: np.ndarray, quaternion: np.ndarray, object_id: np.ndarray
@@ -333,14 +337,18 @@ def _kept_place(before: np.ndarray, after: np.ndarray, object_id: np.ndarray) ->
     return bool(np.ptp(sunk) <= HEIGHT_LIMIT and (shift < SHIFT_LIMIT).all())
 
 
-def _classify_last(position: np.ndarray, object_id: np.ndarray) -> Verdict:
+def _classify_last(position: np.ndarray, object_id: np.ndarray) -> PlacementVerdict:
     """Geometric verdict on the object of the last cell; UNDECIDED unless it is plain."""
     mine = object_id == object_id[-1]
     others = np.ascontiguousarray(position[~mine])
     found = {
         classify_cube(others, len(others), x, y, z, HALF) for x, y, z in position[mine].tolist()
     }
-    for plain in (Verdict.OVERLAP, Verdict.BELOW_GROUND):
+    for plain in (PlacementVerdict.OVERLAP, PlacementVerdict.BELOW_GROUND):
         if plain in found:
             return plain
-    return Verdict.FLOATING if found == {int(Verdict.FLOATING)} else Verdict.UNDECIDED
+    return (
+        PlacementVerdict.FLOATING
+        if found == {int(PlacementVerdict.FLOATING)}
+        else PlacementVerdict.UNDECIDED
+    )

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.constants import EDGE, HALF
-from learn2assemble.tasks.physics.protocol import Verdict
+from learn2assemble.tasks.physics.protocol import PlacementVerdict
 from learn2assemble.tasks.physics.support import (
     BALANCE_TOLERANCE,
     UNDECIDED,
@@ -71,7 +71,7 @@ def _equilibrium(centres: np.ndarray, object_id: np.ndarray) -> int:
     from learn2assemble.tasks.physics.equilibrium import is_stable
 
     stable = is_stable(centres, object_id, slack=BALANCE_TOLERANCE)
-    return int(Verdict.STABLE if stable else Verdict.UNSTABLE)
+    return int(PlacementVerdict.STABLE if stable else PlacementVerdict.UNSTABLE)
 
 
 class StaticPhysics:
@@ -100,11 +100,11 @@ def survey(state: State, pitch: float = EDGE) -> np.ndarray:
         pitch: horizontal distance of the centres of neighbouring cells [m].
 
     Returns:
-        int8[B, M, 5]: :class:`Verdict` for (reference, relation); OVERLAP for references beyond
+        int8[B, M, 5]: :class:`PlacementVerdict` for (reference, relation); OVERLAP for those beyond
         ``num_placed``, so ``survey(state) == STABLE`` is a mask of the good placements.
     """
     batch, blocks = state.position.shape[:2]
-    verdict = np.full((batch, blocks, NUM_RELATIONS), int(Verdict.OVERLAP), np.int8)
+    verdict = np.full((batch, blocks, NUM_RELATIONS), int(PlacementVerdict.OVERLAP), np.int8)
     _survey(state, pitch, verdict)
     if not (verdict == UNDECIDED).any():
         return verdict
@@ -180,12 +180,12 @@ def survey_objects(state: State, spec: ActionSpec) -> np.ndarray:
         spec: what the actions mean.
 
     Returns:
-        int8[B, M, M, 5 * R]: :class:`Verdict` for (unplaced, reference, action), counted
+        int8[B, M, M, 5 * R]: :class:`PlacementVerdict` for (unplaced, reference, action), counted
         as in :meth:`Simulator.step`; OVERLAP beyond the blocks there are.
     """
     batch, blocks = state.position.shape[:2]
     shape = (batch, blocks, blocks, NUM_RELATIONS * len(spec.turns))
-    verdict = np.full(shape, int(Verdict.OVERLAP), np.int8)
+    verdict = np.full(shape, int(PlacementVerdict.OVERLAP), np.int8)
     for row in range(batch):
         placed, waiting = state.num_placed[row], int(state.num_unplaced[row])
         position = np.concatenate([state.position[row, :placed], np.empty((blocks, 3))])

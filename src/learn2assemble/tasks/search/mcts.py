@@ -22,15 +22,17 @@ import numpy as np
 from learn2assemble.tasks.search.config import SearchConfig
 from learn2assemble.tasks.search.tree import (
     ActionValues,
-    Node,
     SearchModel,
     StepResult,
+    TreeNode,
     back_up,
     gather,
 )
 
 
-def gumbel_waves(root: Node, config: SearchConfig, rng: np.random.Generator) -> Iterator[list[int]]:
+def gumbel_waves(
+    root: TreeNode, config: SearchConfig, rng: np.random.Generator
+) -> Iterator[list[int]]:
     """Waves of root actions: all that are still considered, in every phase half as many."""
     logits = _logits(root, config)
     if config.gumbel.noise:
@@ -52,37 +54,39 @@ def gumbel_waves(root: Node, config: SearchConfig, rng: np.random.Generator) -> 
         alive = alive[: max(2, len(alive) // 2)]
 
 
-def gumbel_scores(root: Node, config: SearchConfig) -> np.ndarray:
+def gumbel_scores(root: TreeNode, config: SearchConfig) -> np.ndarray:
     """``g + logits + sigma(completed Q)`` of every root action: float64[A]."""
     noise = 0.0 if root.noise is None else root.noise
     return noise + _logits(root, config) + _sigma(root, config)
 
 
-def completed_policy(node: Node, config: SearchConfig) -> np.ndarray:
+def completed_policy(node: TreeNode, config: SearchConfig) -> np.ndarray:
     """The improved policy ``softmax(logits + sigma(completed Q))``: float64[A]."""
     logits = _logits(node, config) + _sigma(node, config)
     weights = np.exp(logits - logits.max())
     return weights / weights.sum()
 
 
-def gumbel_interior(node: Node, config: SearchConfig) -> int:
+def gumbel_interior(node: TreeNode, config: SearchConfig) -> int:
     """Below the root: where the visits lag most behind the improved policy; no chance."""
     share = node.simulated / (1 + node.simulated.sum())
     return int(np.argmax(completed_policy(node, config) - share))
 
 
-def _logits(node: Node, config: SearchConfig) -> np.ndarray:
+def _logits(node: TreeNode, config: SearchConfig) -> np.ndarray:
     return node.actions.values / config.gumbel.temperature
 
 
-def _sigma(node: Node, config: SearchConfig) -> np.ndarray:
+def _sigma(node: TreeNode, config: SearchConfig) -> np.ndarray:
     """The monotone transform of completed Q-values, which search results sharpen."""
     low, high = node.estimates.min(), node.estimates.max()
     scaled = (node.estimates - low) / max(high - low, 1e-8)
     return (config.gumbel.visit_offset + node.simulated.max()) * config.gumbel.value_scale * scaled
 
 
-def root_waves(root: Node, config: SearchConfig, rng: np.random.Generator) -> Iterator[list[int]]:
+def root_waves(
+    root: TreeNode, config: SearchConfig, rng: np.random.Generator
+) -> Iterator[list[int]]:
     """Root actions to simulate next, again and again until the budget is spent.
 
     The actions of one wave can be simulated together: none depends on the outcome of another.
@@ -109,7 +113,7 @@ def _blind(config: SearchConfig) -> bool:
     return first and config.widening == 1
 
 
-def choose(node: Node, config: SearchConfig, rng: np.random.Generator) -> int | None:
+def choose(node: TreeNode, config: SearchConfig, rng: np.random.Generator) -> int | None:
     """The action a walk takes at ``node``; ``None`` where nothing is left to try."""
     if config.expansion == "gumbel":
         return gumbel_interior(node, config)
@@ -130,7 +134,7 @@ def choose(node: Node, config: SearchConfig, rng: np.random.Generator) -> int | 
     return keys[largest([node.children[key].value for key in keys], rng)]
 
 
-def _anything(node: Node, room: bool, config: SearchConfig, rng: np.random.Generator) -> int:
+def _anything(node: TreeNode, room: bool, config: SearchConfig, rng: np.random.Generator) -> int:
     """The choice among explored and, where there is room, untried actions."""
     keys = np.arange(len(node.actions.values)) if room else node.tried
     if config.expansion == "uct":
@@ -140,7 +144,7 @@ def _anything(node: Node, room: bool, config: SearchConfig, rng: np.random.Gener
     return int(keys[largest(node.estimates[keys], rng)])
 
 
-def uct_scores(node: Node, keys: np.ndarray | list[int], config: SearchConfig) -> np.ndarray:
+def uct_scores(node: TreeNode, keys: np.ndarray | list[int], config: SearchConfig) -> np.ndarray:
     """``mean + c sqrt(ln n(node) / n(child))`` of some actions.
 
     An untried action has visit count 1 and mean Q with the prior, an infinite score without.
@@ -153,7 +157,9 @@ def uct_scores(node: Node, keys: np.ndarray | list[int], config: SearchConfig) -
     return scores
 
 
-def _untried(node: Node, count: int, config: SearchConfig, rng: np.random.Generator) -> list[int]:
+def _untried(
+    node: TreeNode, count: int, config: SearchConfig, rng: np.random.Generator
+) -> list[int]:
     """The next ``count`` untried actions, or as many as there are."""
     values = node.actions.values
     if config.expansion == "epsilon-greedy":
@@ -195,7 +201,7 @@ def epsilon_greedy_expansions(
     return chosen
 
 
-def final_key(root: Node, config: SearchConfig, rng: np.random.Generator) -> int:
+def final_key(root: TreeNode, config: SearchConfig, rng: np.random.Generator) -> int:
     """Number of the explored root action to play, chance aside."""
     keys = list(root.children)
     if config.final != "best-mean":
@@ -252,12 +258,12 @@ def _rollout_actions(
 
 
 @dataclass
-class Decision:
+class SearchResult:
     """What a search decided at one root."""
 
     action: np.ndarray
     """int64[3]."""
-    root: Node
+    root: TreeNode
     """The tree, with visits and values."""
     random: bool
     """Whether a draw of epsilon chose the action."""
@@ -271,16 +277,16 @@ class Decision:
 
 
 @dataclass
-class _Walk:
+class _Descent:
     """A way down a tree: nodes from the root, and the action taken at the last of them."""
 
-    path: list[Node]
+    path: list[TreeNode]
     key: int
 
 
 def search(
     model: SearchModel, states: Any, config: SearchConfig, rng: np.random.Generator
-) -> list[Decision]:
+) -> list[SearchResult]:
     """Choose one action for every row of ``states`` (left unchanged).
 
     With ``budget`` 0 this is the epsilon-free greedy policy. The final choice is a uniformly
@@ -289,13 +295,13 @@ def search(
     if config.random_first:
         return _random_first(model, states, config, rng)
     legal = _legal(model, states, config)
-    roots = [Node((states, row)) for row in range(len(legal))]
+    roots = [TreeNode((states, row)) for row in range(len(legal))]
     for root, values in zip(roots, legal, strict=True):
         root.open(values)
     plans = [root_waves(root, config, rng) for root in roots]
     while True:
         walks = [
-            _Walk([root], key)
+            _Descent([root], key)
             for root, plan in zip(roots, plans, strict=True)
             for key in next(plan, ())
         ]
@@ -307,11 +313,11 @@ def search(
 
 def _random_first(
     model: SearchModel, states: Any, config: SearchConfig, rng: np.random.Generator
-) -> list[Decision]:
+) -> list[SearchResult]:
     """Random actions without a search at the rate epsilon, searches in the other rows."""
     actions = model.random_actions(states, rng)
     searched = np.flatnonzero(rng.random(len(actions)) >= config.epsilon)
-    out = [Decision(action, Node(None), random=True) for action in actions]
+    out = [SearchResult(action, TreeNode(None), random=True) for action in actions]
     if len(searched):
         plain = replace(config, random_first=False)
         found = search(model, model.take(states, searched), plain, rng)
@@ -327,11 +333,11 @@ def _legal(model: SearchModel, states: Any, config: SearchConfig) -> list[Action
 
 
 def _descend(
-    model: SearchModel, walks: list[_Walk], config: SearchConfig, rng: np.random.Generator
+    model: SearchModel, walks: list[_Descent], config: SearchConfig, rng: np.random.Generator
 ) -> None:
     """Lead every walk to the edge it simulates: an untried one, an end, or the depth limit."""
     while walks:
-        going: list[_Walk] = []
+        going: list[_Descent] = []
         for walk in walks:
             child = walk.path[-1].children.get(walk.key)
             if child is not None and not child.terminal and len(walk.path) < config.depth:
@@ -351,7 +357,7 @@ def _descend(
 
 
 def _simulate(
-    model: SearchModel, walks: list[_Walk], config: SearchConfig, rng: np.random.Generator
+    model: SearchModel, walks: list[_Descent], config: SearchConfig, rng: np.random.Generator
 ) -> None:
     """Take the last edge of every walk in one batch, roll out, back up."""
     parents = [walk.path[-1] for walk in walks]
@@ -363,7 +369,7 @@ def _simulate(
         if child is None:
             terminal = bool(result.terminal[n])
             state = None if terminal else (result.states, n)
-            child = Node(state, float(result.reward[n]), terminal, key=walk.key)
+            child = TreeNode(state, float(result.reward[n]), terminal, key=walk.key)
             child.done = terminal or len(walk.path) >= config.depth
             if config.prior:
                 child.prior = float(parent.actions.values[walk.key])
@@ -372,11 +378,11 @@ def _simulate(
         back_up(walk.path, child, float(values[n]), model.discount, config.backup)
 
 
-def _decide(root: Node, config: SearchConfig, rng: np.random.Generator) -> Decision:
+def _decide(root: TreeNode, config: SearchConfig, rng: np.random.Generator) -> SearchResult:
     legal = root.actions
     if not root.children:
-        return Decision(legal.actions[int(np.argmax(legal.values))], root, random=False)
+        return SearchResult(legal.actions[int(np.argmax(legal.values))], root, random=False)
     if rng.random() < config.epsilon:
         keys = list(root.children)
-        return Decision(legal.actions[keys[int(rng.integers(len(keys)))]], root, random=True)
-    return Decision(legal.actions[final_key(root, config, rng)], root, random=False)
+        return SearchResult(legal.actions[keys[int(rng.integers(len(keys)))]], root, random=True)
+    return SearchResult(legal.actions[final_key(root, config, rng)], root, random=False)

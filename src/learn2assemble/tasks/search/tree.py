@@ -80,7 +80,7 @@ def _nothing() -> np.ndarray:
 
 
 @dataclass
-class Node:
+class TreeNode:
     """A state reached in the search, and the action that led to it."""
 
     state: tuple[Any, int] | None
@@ -92,7 +92,7 @@ class Node:
     """Filled by :meth:`open` when a walk first comes here."""
     key: int = -1
     """Number of this node among the actions of its parent."""
-    children: dict[int, Node] = field(default_factory=dict[int, "Node"])
+    children: dict[int, TreeNode] = field(default_factory=dict[int, "TreeNode"])
     """By the number of the action in ``legal``."""
     visits: int = 0
     total: float = 0.0
@@ -120,7 +120,7 @@ class Node:
         self.counts = np.zeros(len(legal.values), np.int64)
         self.simulated = np.zeros(len(legal.values), np.int64)
 
-    def note(self, child: Node) -> None:
+    def note(self, child: TreeNode) -> None:
         """Take over the statistics of a child that has changed."""
         self.estimates[child.key] = child.value
         self.counts[child.key] = child.visits
@@ -149,7 +149,7 @@ class Node:
         return self.legal
 
 
-def gather(model: SearchModel, nodes: list[Node]) -> Any:
+def gather(model: SearchModel, nodes: list[TreeNode]) -> Any:
     """The states of ``nodes`` as one batch; neighbours in one batch are taken together."""
     places = [node.state for node in nodes if node.state is not None]
     assert len(places) == len(nodes)
@@ -160,7 +160,9 @@ def gather(model: SearchModel, nodes: list[Node]) -> Any:
     return model.join(parts)
 
 
-def back_up(path: list[Node], child: Node, value: float, discount: float, rule: str) -> None:
+def back_up(
+    path: list[TreeNode], child: TreeNode, value: float, discount: float, rule: str
+) -> None:
     """Add the return ``value`` of ``child`` to it and to every node of ``path`` above it.
 
     With the rule ``max`` a node above is worth its reward and the discounted largest estimate
