@@ -259,5 +259,6 @@ def test_outcomes_have_the_names_of_the_contract() -> None:
         "disturbed-structure",
         "toppled",
         "dropped",
+        "no-contact",
     ]
     assert Outcome.REACHED == 0

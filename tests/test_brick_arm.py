@@ -16,7 +16,7 @@ from learn2assemble.cell.bricks import BrickStates
 from learn2assemble.errors import InputError
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
-from learn2assemble.robot.holding import LEAST_GRIP, PAD, TIP_ROOM, holds_of
+from learn2assemble.robot.holding import LEAST_GRIP, PAD, STUD_ROOM, holds_of
 
 DUPLO = load_kit("duplo")
 
@@ -80,7 +80,7 @@ def test_fingers_hold_bricks_above_the_studs_beside_them() -> None:
         assert along == {0.0, *(s * k * (0.032 - PAD) / 2 for s in (1, -1) for k in (1, 2))}
         for hold in found:
             tip = hold.point[2] - gripper.tip
-            assert tip >= -half[2] + TIP_ROOM - 1e-9
+            assert tip >= -half[2] + STUD_ROOM - 1e-9
             assert tip <= half[2] - LEAST_GRIP + 1e-9
         assert found[0].point[:2] == (0.0, 0.0)
 

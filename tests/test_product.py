@@ -103,6 +103,7 @@ LEARNS = {
     "tasks": [],
     "train": ["two-sided-3x3-20-24", "--out", "new"],
     "train-builder": ["--out", "new"],
+    "workbenchmark": ["--tasks", "tasks.jsonl.gz"],
 }
 """Commands that need the extra, with what they cannot do without."""
 

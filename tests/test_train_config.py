@@ -108,7 +108,7 @@ def test_start_from_another_network() -> None:
         for a, b in zip(mine.parameters(), given_network.parameters(), strict=True):
             assert torch.equal(a, b)
             assert a is not b
-    with pytest.raises(InputError, match="--init"):
+    with pytest.raises(InputError, match="init: got"):
         trainer.start_from(network(9, RELATIONAL))
 
 

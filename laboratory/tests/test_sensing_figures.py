@@ -32,7 +32,7 @@ def test_every_kind_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_scenes_have_no_blocks_in_one_another() -> None:
     import numpy as np
 
-    from learn2assemble.cell.pieces import overlaps, solids
+    from learn2assemble.robot.bodies import overlaps, solids
 
     for make in sensing.SCENES.values():
         true, others = make(np.random.default_rng(0), sensing.BRICK)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from learn2assemble.assembly.appearance import millimetres
+from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.design import drawings, solids
 from learn2assemble.design.cells import CellDesign, Origin, design_of, floating
 from learn2assemble.design.dxf import read_dxf
@@ -35,7 +36,6 @@ from learn2assemble.design.svg.walk import read_svg
 from learn2assemble.errors import InputError
 
 if TYPE_CHECKING:
-    from learn2assemble.assembly.blocks import Assembly
     from learn2assemble.assembly.kit import Kit
 
 
@@ -58,7 +58,9 @@ def read_design(design: str | Path | np.ndarray, **reading: Any) -> CellDesign |
     found = read_given(design, None, reading)
     if isinstance(found, Goals):
         raise InputError("design", found.source, "a design; load_goals and build read goals")
-    return found  # pyright: ignore[reportReturnType]
+    if not isinstance(found, CellDesign | Assembly):
+        raise InputError("design", found, "the path of a design file, or an array of cells")
+    return found
 
 
 def read_given(design: object, kit: Kit | None, reading: Mapping[str, Any]) -> object:

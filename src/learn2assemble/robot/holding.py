@@ -28,10 +28,11 @@ ROOM = 0.008
 retreating [m]: enough for a millimetre or two of error, not so much that neighbours are touched."""
 GRIP_DEPTH = 0.025
 """A taller block is held so far below its top [m], as the hand is not far above the fingertips."""
-TIP_ROOM = 0.0055
-"""Fingertips stay so far above what a block stands on [m]: above the studs of large bricks, too."""
+TIP_ROOM, STUD_ROOM = 0.002, 0.0055
+"""Fingertips stay so far above what a block stands on [m]: above the studs of large bricks where
+the block is high enough for that."""
 LEAST_GRIP = 0.008
-"""So much of the height of a pad is on the block at least [m]."""
+"""So much of the height of a pad is on a block that is high enough [m]."""
 PAD = 0.0075
 """Half the width of a pad [m]."""
 ALONG = (0.0, 0.5, -0.5, 1.0, -1.0)
@@ -257,9 +258,12 @@ def _between_faces(
                 continue
             # Along the way of the hand: where it enters the faces, where it would leave them.
             first, last = float(ends.min()), float(ends.max())
-            depth = min(first + GRIP_DEPTH, last - gripper.tip - TIP_ROOM, (first + last) / 2)
+            most = min(first + GRIP_DEPTH, (first + last) / 2)
+            depth = min(most, last - gripper.tip - STUD_ROOM)
             if depth + gripper.tip < first + LEAST_GRIP:
-                continue
+                depth = min(most, last - gripper.tip - TIP_ROOM)
+                if depth < first:
+                    continue
             at = aside * float(near @ aside) + flat * depth
             off = abs(float((middle - at) @ aside))
             point = _tuple(inwards + at @ axes)

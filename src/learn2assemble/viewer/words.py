@@ -76,6 +76,7 @@ OUTCOME_WORDS = {
     Outcome.DISTURBED_STRUCTURE: "a block that stood before has moved",
     Outcome.TOPPLED: "the block did not stay where it was released",
     Outcome.DROPPED: "the block was lost on the way",
+    Outcome.NO_CONTACT: "the block was lowered as far as it may be and met nothing",
 }
 _CARRYING = ("lift", "cross", "place")
 
