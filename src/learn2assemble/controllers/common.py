@@ -14,6 +14,7 @@ from learn2assemble.motion.plant import (
     Guard,
     Motion,
     PlantError,
+    Readings,
     Stop,
     ToolCommand,
     ToolReading,
@@ -82,6 +83,24 @@ def away(joints: np.ndarray, motion: Motion) -> float:
     if not len(motion.time):
         return 0.0
     return float(np.abs(joints - motion.joints[0]).max())
+
+
+def not_begun(
+    now: Readings, motion: Motion, tolerance: float, why: str = "the robot is stopped"
+) -> tuple[Stop, str] | None:
+    """Why a motion may not begin as things are, in words; None: it may.
+
+    Args:
+        now: what was sensed last.
+        tolerance: the arm may be so far from where the motion begins [rad].
+        why: the robot is stopped, where it is.
+    """
+    if now.state == "stopped":
+        return Stop.PROTECTIVE, why
+    off = away(now.joints, motion)
+    if off > tolerance:
+        return Stop.REFUSED, f"the arm is {off:.3f} rad from where the motion begins"
+    return None
 
 
 def refused(why: str) -> PlantError:

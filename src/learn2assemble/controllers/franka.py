@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from learn2assemble.controllers.common import Address, WatchedHere, away, felt, lost, marks_of
+from learn2assemble.controllers.common import Address, WatchedHere, felt, lost, marks_of, not_begun
 from learn2assemble.errors import InputError, extra
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.cubics import thinned
@@ -117,12 +117,9 @@ class FrankaPlant:
     ) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         now = self.sense()
-        if now.state == "stopped":
-            return self._report(Stop.PROTECTIVE, motion, 0.0, now.time, "the robot is stopped")
-        off = away(now.joints, motion)
-        if off > self.around.program.start_tolerance:
-            why = f"the arm is {off:.3f} rad from where the motion begins"
-            return self._report(Stop.REFUSED, motion, 0.0, now.time, why)
+        amiss = not_begun(now, motion, self.around.program.start_tolerance)
+        if amiss is not None:
+            return self._report(amiss[0], motion, 0.0, now.time, amiss[1])
         left = sorted(commands, key=lambda one: one.at)
         moves = bool(motion.seconds) and float(np.ptp(motion.joints, axis=0).max()) > 0
         try:

@@ -20,10 +20,10 @@ from learn2assemble.controllers.common import (
     Address,
     ControllerClock,
     WatchedHere,
-    away,
     felt,
     lost,
     marks_of,
+    not_begun,
     refused,
 )
 from learn2assemble.errors import extra
@@ -221,12 +221,9 @@ class RosPlant:
     ) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         now = self.sense()
-        if now.state == "stopped":
-            return self._report(Stop.PROTECTIVE, motion, 0.0, now.time, "the robot is stopped")
-        off = away(now.joints, motion)
-        if off > self.settings.start_tolerance:
-            why = f"the arm is {off:.3f} rad from where the motion begins"
-            return self._report(Stop.REFUSED, motion, 0.0, now.time, why)
+        amiss = not_begun(now, motion, self.settings.start_tolerance)
+        if amiss is not None:
+            return self._report(amiss[0], motion, 0.0, now.time, amiss[1])
         left = sorted(commands, key=lambda one: one.at)
         thin, result = thinned(motion, marks_of(motion, commands, guards)), _Result()
         try:

@@ -21,10 +21,10 @@ import numpy as np
 from learn2assemble.controllers.common import (
     Address,
     ControllerClock,
-    away,
     felt,
     lost,
     marks_of,
+    not_begun,
     refused,
 )
 from learn2assemble.controllers.ur_motion import (
@@ -206,12 +206,9 @@ class UrPlant:
     ) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         now = self.sense()
-        off = away(now.joints, motion)
-        if now.state == "stopped":
-            return self._report(Stop.PROTECTIVE, motion, 0.0, now.time, self._stopped())
-        if off > self.settings.start_tolerance:
-            why = f"the arm is {off:.3f} rad from where the motion begins"
-            return self._report(Stop.REFUSED, motion, 0.0, now.time, why)
+        amiss = not_begun(now, motion, self.settings.start_tolerance, self._stopped())
+        if amiss is not None:
+            return self._report(amiss[0], motion, 0.0, now.time, amiss[1])
         self.serial += 1
         thin = thinned(motion, marks_of(motion, commands, guards))
         script = motion_script(
