@@ -29,8 +29,8 @@ from learn2assemble.export.robot_programs import export_program, replay_program
 from learn2assemble.geometry.hulls import Hull, hull_of, resting_turns, rotations_onto
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.files import read_record, write_record
-from learn2assemble.motion.plant import Disturbance
 from learn2assemble.motion.record import BuildRecord, find_fault
+from learn2assemble.motion.setup import Disturbance
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import get_arm

@@ -25,15 +25,13 @@ from learn2assemble.motion.plant import (
     Motion,
     Plant,
     PlantError,
-    Setup,
     Stop,
-    Surroundings,
     ToolCommand,
-    open_plant,
     standing,
 )
 from learn2assemble.motion.program import driver_of
 from learn2assemble.motion.settings import ProgramSettings
+from learn2assemble.motion.setup import Setup, Surroundings, open_plant
 from learn2assemble.robot.arm import get_arm
 from urscript import Script, ScriptError
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, yaw_matrix
+from learn2assemble.motion.checked import Checked
 from learn2assemble.motion.plant import (
-    Checked,
     Motion,
     Readings,
     Report,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from learn2assemble.errors import InputError
+from learn2assemble.motion.checked import Checked, covariance_is_sound
 from learn2assemble.motion.plant import (
     BlockReading,
-    Checked,
     Guard,
     Motion,
     PlantError,
@@ -19,10 +19,9 @@ from learn2assemble.motion.plant import (
     Request,
     Stop,
     ToolReading,
-    covariance_is_sound,
-    open_plant,
     standing,
 )
+from learn2assemble.motion.setup import open_plant
 from learn2assemble.robot.arm import get_arm
 
 ARM = get_arm("panda", "suction")

@@ -21,17 +21,9 @@ from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.jobs.run import IN_HAND, Ran, run
-from learn2assemble.motion.plant import (
-    BlockReading,
-    Request,
-    Setup,
-    Stop,
-    Surroundings,
-    ToolCommand,
-    open_plant,
-    standing,
-)
+from learn2assemble.motion.plant import BlockReading, Request, Stop, ToolCommand, standing
 from learn2assemble.motion.safety import Box, Safety
+from learn2assemble.motion.setup import Setup, Surroundings, open_plant
 from learn2assemble.planning.plan import ArmReport, Plan
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.robot.arm import get_arm
@@ -395,7 +387,7 @@ def test_the_command(
     told = Surroundings(
         serve=cell.serve, trust_placements=True, patience=3.0 * cell.rate, silence=3.0, answer=2.0
     )
-    monkeypatch.setattr("learn2assemble.motion.plant.Surroundings", lambda **given: told)
+    monkeypatch.setattr("learn2assemble.motion.setup.Surroundings", lambda **given: told)
     call = ["run", str(tmp_path), "--robot", address, "--trust-placements", "--json"]
     assert main([*call, "--until", "1"]) == 0
     said = json.loads(capsys.readouterr().out)

@@ -14,19 +14,15 @@ from learn2assemble.cell.belief import step_between
 from learn2assemble.cell.carry_out import Workcell, carry_out, prepare, setup_of
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.motion.plant import (
-    BlockKind,
-    Disturbance,
     Guard,
     Motion,
-    Noise,
     PlantError,
     Request,
-    Setup,
-    Simulated,
     Stop,
     ToolCommand,
     standing,
 )
+from learn2assemble.motion.setup import BlockKind, Disturbance, Noise, Setup, Simulated
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.robot.arm import get_arm

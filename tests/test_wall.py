@@ -17,10 +17,8 @@ from learn2assemble.cell.carry_out import Workcell, carry_out, prepare, setup_of
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.motion.plant import (
     BlockReading,
-    Disturbance,
     Guard,
     Motion,
-    Noise,
     Plant,
     PlantError,
     Readings,
@@ -29,6 +27,7 @@ from learn2assemble.motion.plant import (
     Stop,
 )
 from learn2assemble.motion.remote import in_process
+from learn2assemble.motion.setup import Disturbance, Noise
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.simulation.plant import simulated

@@ -37,8 +37,8 @@ from learn2assemble.cell.workcell import (
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.export.robot_programs import export_program
-from learn2assemble.motion.plant import Disturbance
 from learn2assemble.motion.record import find_fault
+from learn2assemble.motion.setup import Disturbance
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.planning.tiling.ordering import polycube

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from learn2assemble.export.robot_programs import export_program, replay_program
     from learn2assemble.jobs.build import build, reach
     from learn2assemble.jobs.run import Ran, run
-    from learn2assemble.motion.plant import Surroundings
+    from learn2assemble.motion.setup import Surroundings
     from learn2assemble.planning.plan import Plan, Step, load_plan
     from learn2assemble.robot.arm import get_arm
     from learn2assemble.robot.registry import register_arm, register_tool
@@ -65,7 +65,7 @@ _HOME = {
     "statics.rigid_blocks": "Check check",
     "jobs.build": "build reach",
     "jobs.run": "Ran run",
-    "motion.plant": "Surroundings",
+    "motion.setup": "Surroundings",
     "planning.plan": "Plan Step load_plan",
     "cell.calibrate": "calibrate",
     "cell.site": "Site",

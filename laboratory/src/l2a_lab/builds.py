@@ -31,7 +31,7 @@ from learn2assemble.cell.carry_out import (
 )
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.read import read_design
-from learn2assemble.motion.plant import Disturbance, Noise
+from learn2assemble.motion.setup import Disturbance, Noise
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells

@@ -37,7 +37,8 @@ from learn2assemble.cell.workcell import (
     named,
     rows_of,
 )
-from learn2assemble.motion.plant import Checked, Plant, PlantError, Request, Stop, standing
+from learn2assemble.motion.checked import Checked
+from learn2assemble.motion.plant import Plant, PlantError, Request, Stop, standing
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Move, Outcome, carried
 

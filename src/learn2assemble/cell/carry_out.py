@@ -27,7 +27,8 @@ from learn2assemble.cell.workcell import (
     job_of,
 )
 from learn2assemble.geometry.rotations import yaw_quaternion
-from learn2assemble.motion.plant import BlockKind, Plant, PlantError, Setup, open_plant
+from learn2assemble.motion.plant import Plant, PlantError
+from learn2assemble.motion.setup import BlockKind, Setup, open_plant
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.kinematic import KinematicCell

@@ -24,7 +24,7 @@ from learn2assemble.cell.pieces import Piece, pieces_of
 from learn2assemble.cell.site import Obstacle, Site, Source
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_quaternion
-from learn2assemble.motion.plant import Disturbance, Noise, Simulated
+from learn2assemble.motion.setup import Disturbance, Noise, Simulated
 from learn2assemble.planning.clearance import ways_out
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.bodies import Shape

@@ -69,7 +69,7 @@ def _run(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where everything is done, or the run was paused as asked; else 1."""
     from learn2assemble.cell.site import Site, read_site
     from learn2assemble.jobs.run import run
-    from learn2assemble.motion.plant import Surroundings
+    from learn2assemble.motion.setup import Surroundings
 
     if options.step and options.until is not None:
         raise InputError("--step", f"with --until {options.until}", "one of the two")

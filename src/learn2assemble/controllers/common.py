@@ -10,7 +10,6 @@ import numpy as np
 
 from learn2assemble.errors import InputError
 from learn2assemble.motion.plant import (
-    UNWANTED,
     Guard,
     Motion,
     PlantError,
@@ -19,6 +18,7 @@ from learn2assemble.motion.plant import (
     ToolCommand,
     ToolReading,
 )
+from learn2assemble.motion.setup import UNWANTED
 
 BACK = 1e-6
 """By so much the clock of a controller may go back [s]."""

@@ -26,12 +26,12 @@ from learn2assemble.motion.plant import (
     Readings,
     Report,
     Request,
-    Setup,
     Stop,
     ToolCommand,
     ToolReading,
 )
 from learn2assemble.motion.program import driver_of
+from learn2assemble.motion.setup import Setup
 
 POLL = 0.004
 """Between two looks at the state [s]."""

@@ -36,12 +36,12 @@ from learn2assemble.motion.plant import (
     Readings,
     Report,
     Request,
-    Setup,
     Stop,
     ToolCommand,
     ToolReading,
 )
 from learn2assemble.motion.program import driver_of
+from learn2assemble.motion.setup import Setup
 
 PORT = 9090
 ACTION = "/joint_trajectory_controller/follow_joint_trajectory"

@@ -46,12 +46,12 @@ from learn2assemble.motion.plant import (
     Readings,
     Report,
     Request,
-    Setup,
     Stop,
     ToolCommand,
     ToolReading,
 )
 from learn2assemble.motion.program import driver_of
+from learn2assemble.motion.setup import Setup
 
 STATE, SCRIPTS, DASHBOARD = 30004, 30002, 29999
 """Ports."""

@@ -29,15 +29,12 @@ from learn2assemble.motion.plant import (
     Readings,
     Report,
     Request,
-    Setup,
     Stop,
-    Surroundings,
     ToolCommand,
-    check_address,
-    open_plant,
     standing,
 )
 from learn2assemble.motion.safety import Guarded
+from learn2assemble.motion.setup import Setup, Surroundings, check_address, open_plant
 from learn2assemble.motion.trust import Trusted
 from learn2assemble.planning.plan import Plan, load_plan
 

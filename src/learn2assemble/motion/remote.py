@@ -21,10 +21,10 @@ from learn2assemble.motion.plant import (
     Readings,
     Report,
     Request,
-    Setup,
     Stop,
     ToolCommand,
 )
+from learn2assemble.motion.setup import Setup
 
 ASKED = ("sense", "execute", "request", "stop")
 SIMULATED = ("truth", "state", "restore")

@@ -21,10 +21,10 @@ from learn2assemble.motion.plant import (
     Readings,
     Report,
     Request,
-    Setup,
     Stop,
     ToolCommand,
 )
+from learn2assemble.motion.setup import Setup
 from learn2assemble.robot.bodies import body_of
 from learn2assemble.robot.kinematics import forward, get_chain
 

@@ -19,7 +19,8 @@ from learn2assemble.geometry.rotations import (
     yaw_matrix,
     yaw_quaternion,
 )
-from learn2assemble.motion.plant import BlockKind, BlockReading, Noise, Simulated
+from learn2assemble.motion.plant import BlockReading
+from learn2assemble.motion.setup import BlockKind, Noise, Simulated
 from learn2assemble.robot.bodies import Part, Shape
 
 PERIOD = 0.1

@@ -16,11 +16,11 @@ from learn2assemble.motion.plant import (
     Played,
     Readings,
     Report,
-    Setup,
     Stop,
     ToolCommand,
     ToolReading,
 )
+from learn2assemble.motion.setup import Setup
 from learn2assemble.robot.bodies import solids
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.simulation.things import SimulatedCell, bounds, check_motion, nearest

@@ -15,16 +15,8 @@ import numpy as np
 
 from learn2assemble.constants import GRAVITY
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
-from learn2assemble.motion.plant import (
-    Guard,
-    Motion,
-    Plant,
-    Readings,
-    Report,
-    Setup,
-    Stop,
-    ToolCommand,
-)
+from learn2assemble.motion.plant import Guard, Motion, Plant, Readings, Report, Stop, ToolCommand
+from learn2assemble.motion.setup import Setup
 from learn2assemble.registry import Registry
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import Scene

@@ -12,16 +12,8 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.geometry.rotations import quaternion_matrix
-from learn2assemble.motion.plant import (
-    BlockKind,
-    PlantError,
-    Readings,
-    Report,
-    Request,
-    Setup,
-    Stop,
-    ToolReading,
-)
+from learn2assemble.motion.plant import PlantError, Readings, Report, Request, Stop, ToolReading
+from learn2assemble.motion.setup import BlockKind, Setup
 from learn2assemble.robot.bodies import body_of, overlaps, solids
 from learn2assemble.simulation.disturbances import (
     DROPPED,
