@@ -9,43 +9,30 @@ time on the machine that runs this.
 # pyright: reportMissingImports=false
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from learn2assemble.controllers.common import Address, WatchedHere, felt, lost, marks_of, not_begun
+from learn2assemble.controllers.common import Address, lost
+from learn2assemble.controllers.controller import State, WatchingController
 from learn2assemble.errors import InputError, extra
-from learn2assemble.geometry.rotations import quaternion_matrix
-from learn2assemble.motion.cubics import thinned
 from learn2assemble.motion.plant import (
-    Guard,
     Motion,
     PlantError,
-    Readings,
-    Report,
-    Request,
     Stop,
     ToolCommand,
     ToolReading,
 )
-from learn2assemble.motion.program import driver_of
 from learn2assemble.motion.setup import Setup
 
-POLL = 0.004
-"""Between two looks at the state [s]."""
-LATE, SLACK = 1.5, 2.0
-"""A motion that takes longer than its time by this factor, and so much more [s], is late."""
-STANDS = 0.005
-"""Slower joints stand [rad/s]."""
 EPSILON = 0.005
 """What the fingers close on may be so much wider or narrower than told [m]."""
 MAY_MOVE = ("Idle", "Move")
 """Modes of a robot that is not stopped."""
 
 
-class FrankaPlant:
+class FrankaPlant(WatchingController):
     """An arm of Franka with its own gripper.
 
     Args:
@@ -59,19 +46,13 @@ class FrankaPlant:
     """
 
     def __init__(self, place: str, setup: Setup) -> None:
-        self.place, self.arm, self.around = (
-            Address.read("franka", place, 0),
-            setup.arm,
-            setup.around,
-        )
+        super().__init__(Address.read("franka", place, 0), setup)
         if setup.arm.name != "panda" or setup.arm.suction is not None:
             got = f"the arm {setup.arm.name} with the tool {setup.arm.tool_name}"
             raise InputError("robot", got, "the arm panda with its gripper")
         with extra("franky-control", "franka"):
             import franky
         self._lib: Any = franky
-        self.driver = driver_of(setup.arm)
-        self._base = quaternion_matrix(self.driver.base[3:])
         try:
             self._robot: Any = franky.Robot(self.place.host)
             self._gripper: Any = franky.Gripper(self.place.host)
@@ -80,16 +61,12 @@ class FrankaPlant:
 
     # ------------------------------------------------------------ what is sensed
 
-    def sense(self) -> Readings:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        state = self._state()
+    def _read(self) -> State:
+        state, mode = self._state(), ""
+        if state.robot_mode.name not in MAY_MOVE:
+            mode = f"the robot is in the mode {state.robot_mode.name}"
         q, v = np.array(state.q, float).ravel(), np.array(state.dq, float).ravel()
-        moving = float(np.abs(v).max()) > STANDS
-        mode = "stopped" if self._stopped(state) else "moving" if moving else "ready"
-        look = self.around.look
-        blocks = () if look is None else tuple(look())
-        now = float(state.time.to_sec())
-        return Readings(now, q, v, blocks, self._tool(state), self.arm.name, mode)
+        return State(float(state.time.to_sec()), q, v, self._tool(state), mode)
 
     def _state(self) -> Any:
         try:
@@ -99,47 +76,24 @@ class FrankaPlant:
 
     def _tool(self, state: Any) -> ToolReading:
         gripper = self._gripper.state
-        force = self._base @ np.array(state.O_F_ext_hat_K, float).ravel()[:3]
-        x, y, z = force.tolist()
+        force = self._force(np.array(state.O_F_ext_hat_K, float).ravel()[:3].tolist())
         grip = self.arm.gripper.force if gripper.is_grasped else 0.0
-        return ToolReading(width=float(gripper.width), grip=grip, force=(x, y, z))
-
-    def _stopped(self, state: Any) -> bool:
-        return state.robot_mode.name not in MAY_MOVE
+        return ToolReading(width=float(gripper.width), grip=grip, force=force)
 
     # ------------------------------------------------------------ what is carried out
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        now = self.sense()
-        amiss = not_begun(now, motion, self.around.program.start_tolerance)
-        if amiss is not None:
-            return self._report(amiss[0], motion, 0.0, now.time, amiss[1])
-        left = sorted(commands, key=lambda one: one.at)
-        moves = bool(motion.seconds) and float(np.ptp(motion.joints, axis=0).max()) > 0
+    def _go(self, motion: Motion) -> None:
         try:
-            if moves:
-                thin = thinned(motion, marks_of(motion, commands, guards))
-                self._robot.move(self._waypoints(thin), asynchronous=True)
-            stop, why = self._watch(
-                motion, left, WatchedHere(felt(guards, self.around.feel)), now.time, moves
-            )
-            if stop is Stop.END:
-                self._tell(left)
-            elif moves:
-                self.stop()
-        except PlantError as error:
-            stop, why = error.stop, error.why
+            self._robot.move(self._waypoints(motion), asynchronous=True)
         except Exception as error:  # noqa: BLE001
-            stop, why = Stop.PROTECTIVE, _line(error)
-        past = self.sense().time - now.time if stop is not Stop.LOST else 0.0
-        share = 1.0 if stop is Stop.END else min(max(past / max(motion.seconds, 1e-9), 0.0), 1.0)
-        return self._report(stop, motion, share, now.time, why)
+            raise PlantError(Stop.PROTECTIVE, _line(error)) from None
+
+    def _ended(self) -> tuple[Stop, str] | None:
+        try:
+            # This raises what went wrong in the motion.
+            return None if self._robot.poll_motion() else (Stop.END, "")
+        except Exception as error:  # noqa: BLE001
+            return Stop.PROTECTIVE, _line(error)
 
     def _waypoints(self, motion: Motion) -> Any:
         lib, points = self._lib, []
@@ -148,34 +102,6 @@ class FrankaPlant:
             least = lib.Duration(round(1e3 * float(step)))
             points.append(lib.JointWaypoint(state, minimum_time=least))
         return lib.JointWaypointMotion(points)
-
-    def _watch(
-        self,
-        motion: Motion,
-        left: list[ToolCommand],
-        watched: WatchedHere,
-        begun: float,
-        moves: bool,
-    ) -> tuple[Stop, str]:
-        """Tell the tool what is due, until the motion has ended or something ends it."""
-        while True:
-            state = self._state()
-            if self._stopped(state):
-                return Stop.PROTECTIVE, f"the robot is in the mode {state.robot_mode.name}"
-            past = float(state.time.to_sec()) - begun
-            due = [one for one in left if one.at <= min(past, motion.seconds) + 1e-6]
-            self._tell(due)
-            del left[: len(due)]
-            found = watched.broken(past, self._tool(state))
-            if found is not None:
-                return found
-            # This raises what went wrong in the motion.
-            over = not self._robot.poll_motion() if moves else past >= motion.seconds
-            if over:
-                return Stop.END, ""
-            if past > LATE * motion.seconds + SLACK:
-                return Stop.LATE, f"not there after {past:.1f} s"
-            time.sleep(POLL)
 
     def _tell(self, commands: Sequence[ToolCommand]) -> None:
         """Tell the gripper, and the robot what it carries."""
@@ -188,25 +114,6 @@ class FrankaPlant:
             if one.load is not None:
                 centre = (self.driver.tcp[:3]).tolist()
                 self._robot.set_load(one.load, centre, [0.0] * 9)
-
-    def _report(
-        self, stop: Stop, motion: Motion, done: float, begun: float, why: str = ""
-    ) -> Report:
-        if stop is Stop.LOST:
-            joints = motion.joints[0] if len(motion.joints) else self.arm.home
-            return Report(stop, done, joints.copy(), 0.0, why)
-        now = self.sense()
-        joints = now.joints
-        if stop is Stop.END and len(motion.joints):
-            joints = motion.joints[-1].copy()
-        return Report(stop, done, joints, max(now.time - begun, 0.0), why, now.tool)
-
-    def request(self, request: Request) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        begun = self.sense().time
-        if self.around.serve is not None:
-            self.around.serve(request)
-        return self._report(Stop.END, Motion(request.what, *[np.zeros(0)] * 3), 1.0, begun)
 
     def stop(self) -> None:
         """See :class:`~learn2assemble.motion.plant.Plant`."""

@@ -16,31 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from learn2assemble.controllers.common import (
-    Address,
-    ControllerClock,
-    WatchedHere,
-    felt,
-    lost,
-    marks_of,
-    not_begun,
-    refused,
-)
+from learn2assemble.controllers.common import Address, lost, refused
+from learn2assemble.controllers.controller import CONNECT, POLL, STANDS, State, WatchingController
 from learn2assemble.errors import extra
-from learn2assemble.geometry.rotations import quaternion_matrix
-from learn2assemble.motion.cubics import thinned
-from learn2assemble.motion.plant import (
-    Guard,
-    Motion,
-    PlantError,
-    Readings,
-    Report,
-    Request,
-    Stop,
-    ToolCommand,
-    ToolReading,
-)
-from learn2assemble.motion.program import driver_of
+from learn2assemble.motion.plant import Motion, PlantError, Stop, ToolCommand, ToolReading
 from learn2assemble.motion.setup import Setup
 
 PORT = 9090
@@ -60,24 +39,16 @@ COMMANDS = {
     "/tool/load": "std_msgs/msg/Float64",
 }
 """What the tool is told, as in the bags of :mod:`learn2assemble.export.ros2`."""
-CONNECT = 3.0
-"""Longest wait for an answer while connecting [s]."""
 WAIT = 0.5
 """Longest wait for what not every robot says [s]."""
-POLL = 0.004
-"""Between two looks at the state [s]."""
-LATE, SLACK = 1.5, 2.0
-"""A motion that takes longer than its time by this factor, and so much more [s], is late."""
 SHORTEST = 0.02
 """In which the arm comes to rest at least where a motion is broken off [s]."""
-STANDS = 0.005
-"""Slower joints stand [rad/s]."""
 SUCCEEDED, CANCELED = 4, 5
 INVALID = (-1, -2, -3)
 """Error codes of goals that were not taken."""
 
 
-class RosPlant:
+class RosPlant(WatchingController):
     """An arm behind a rosbridge.
 
     Args:
@@ -91,20 +62,15 @@ class RosPlant:
     """
 
     def __init__(self, place: str, setup: Setup) -> None:
-        self.place, self.arm, self.around = (
-            Address.read("ros2", place, PORT),
-            setup.arm,
-            setup.around,
-        )
-        self.settings, self.driver = self.around.program, driver_of(setup.arm)
+        super().__init__(Address.read("ros2", place, PORT), setup)
         with extra("roslibpy", "ros2"):
             import roslibpy
         self._lib: Any = roslibpy
         self._said: dict[str, Any] = {}
         self._known = False
         self._came = threading.Condition()
-        self._clock = ControllerClock(self.around.silence)
-        self._base = quaternion_matrix(self.driver.base[3:])
+        self._goal: Any = ""
+        self._result = _Result()
         self._ros: Any = roslibpy.Ros(self.place.host, self.place.port, transport="twisted")
         try:
             self._ros.run(CONNECT)
@@ -160,17 +126,10 @@ class RosPlant:
 
     # ------------------------------------------------------------ what is sensed
 
-    def sense(self) -> Readings:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        why = self._silence()
-        if why:
-            raise lost(why)
+    def _read(self) -> State:
         now, joints, velocity = self._joints()
-        moving = float(np.abs(velocity).max()) > STANDS
-        state = "stopped" if self._stopped() else "moving" if moving else "ready"
-        look = self.around.look
-        blocks = () if look is None else tuple(look())
-        return Readings(now, joints, velocity, blocks, self._tool(), self.arm.name, state)
+        stopped = "the robot is stopped" if self._stopped() else ""
+        return State(now, joints, velocity, self._tool(), stopped)
 
     def _joints(self) -> tuple[float, np.ndarray, np.ndarray]:
         """Time [s], positions and velocities of the joints in the order of the arm."""
@@ -187,11 +146,10 @@ class RosPlant:
     def _tool(self) -> ToolReading:
         held, width = self._said.get("/suction/held"), self._said.get("/gripper/width")
         force = self._said.get("/tool/wrench", {}).get("wrench", {}).get("force", {})
-        x, y, z = (self._base @ [float(force.get(axis, 0.0)) for axis in "xyz"]).tolist()
         return ToolReading(
             vacuum=None if held is None else bool(held["data"]),
             width=None if width is None else float(width["data"]),
-            force=(x, y, z),
+            force=self._force([float(force.get(axis, 0.0)) for axis in "xyz"]),
         )
 
     def _stopped(self) -> bool:
@@ -207,74 +165,20 @@ class RosPlant:
             return f"/joint_states without {error}"
         return self._clock.odd(now, time.monotonic())
 
-    def rate(self) -> float | None:
-        """States a second that were seen."""
-        return self._clock.rate()
-
     # ------------------------------------------------------------ what is carried out
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        now = self.sense()
-        amiss = not_begun(now, motion, self.settings.start_tolerance)
-        if amiss is not None:
-            return self._report(amiss[0], motion, 0.0, now.time, amiss[1])
-        left = sorted(commands, key=lambda one: one.at)
-        thin, result = thinned(motion, marks_of(motion, commands, guards)), _Result()
-        try:
-            goal = self._go(thin, result) if motion.seconds else ""
-            stop, why = self._watch(motion, left, guards, result)
-            past = self._joints()[0] - now.time
-            if stop is Stop.END:
-                self._tell(left)
-            elif goal:
-                self._stand(goal)
-        except (PlantError, OSError) as error:
-            stop, why, past = Stop.LOST, getattr(error, "why", str(error)), 0.0
-        share = 1.0 if stop is Stop.END else min(max(past / max(motion.seconds, 1e-9), 0.0), 1.0)
-        return self._report(stop, motion, share, now.time, why)
+    def _ended(self) -> tuple[Stop, str] | None:
+        result = self._result
+        if result.came.is_set():
+            return result.stop()
+        if not result.begun.is_set() and time.monotonic() - result.sent > self.around.answer:
+            if np.abs(self._joints()[2]).max() <= STANDS:
+                return Stop.REFUSED, "the controller did not begin with the motion"
+            result.begun.set()
+        return None
 
-    def _watch(
-        self, motion: Motion, left: list[ToolCommand], guards: Sequence[Guard], result: _Result
-    ) -> tuple[Stop, str]:
-        """Tell the tool what is due, until the motion has ended or something ends it."""
-        begun, sent, watched = (
-            self._joints()[0],
-            time.monotonic(),
-            WatchedHere(felt(guards, self.around.feel)),
-        )
-        while True:
-            why = self._silence()
-            if why:
-                return Stop.LOST, why
-            if self._stopped():
-                return Stop.PROTECTIVE, "the robot is stopped"
-            now = self._joints()[0]
-            past = now - begun
-            due = [one for one in left if one.at <= min(past, motion.seconds) + 1e-6]
-            self._tell(due)
-            del left[: len(due)]
-            found = watched.broken(past, self._tool())
-            if found is not None:
-                return found
-            if result.came.is_set() or not motion.seconds:
-                return result.stop()
-            if not result.begun.is_set() and time.monotonic() - sent > self.around.answer:
-                with contextlib.suppress(PlantError):
-                    if np.abs(self._joints()[2]).max() <= STANDS:
-                        return Stop.REFUSED, "the controller did not begin with the motion"
-                result.begun.set()
-            if past > LATE * motion.seconds + SLACK:
-                return Stop.LATE, f"not there after {past:.1f} s"
-            time.sleep(POLL)
-
-    def _go(self, motion: Motion, result: _Result) -> str:
-        """Send a motion as a goal; its name."""
+    def _go(self, motion: Motion) -> None:
+        """Send a motion as a goal."""
         points = [
             {
                 "positions": q.tolist(),
@@ -284,34 +188,10 @@ class RosPlant:
             for t, q, v in zip(motion.time[1:], motion.joints[1:], motion.velocity[1:], strict=True)
         ]
         goal = {"trajectory": {"joint_names": list(self.driver.joints), "points": points}}
-        name: Any = self._action.send_goal(
+        result = self._result = _Result()
+        self._goal = self._action.send_goal(
             self._lib.Goal(goal), result.take, lambda _: result.begun.set(), result.take
         )
-        return name
-
-    def _stand(self, goal: str) -> None:
-        """The arm comes to rest: the goal is cancelled, and as not every bridge passes that on, a
-        short one takes its place.
-
-        Raises:
-            PlantError: where it still moves after :data:`CONNECT`.
-        """
-        if goal:
-            self._action.cancel_goal(goal)
-        _, q, v = self._joints()
-        seconds = max(2 * float((np.abs(v) / self.arm.acceleration).max()), SHORTEST)
-        there = np.clip(q + v * seconds / 2, self.arm.lower, self.arm.upper)
-        rest = np.zeros_like(q)
-        brake = Motion("", np.array([0.0, seconds]), np.stack([q, there]), np.stack([v, rest]))
-        self._go(brake, _Result())
-        until, still = time.monotonic() + CONNECT, 0
-        while time.monotonic() < until and self._ros.is_connected:
-            still = still + 1 if np.abs(self._joints()[2]).max() <= STANDS else 0
-            if still > 3 or self._stopped():
-                return
-            time.sleep(2 * POLL)
-        if self._ros.is_connected:
-            raise PlantError(Stop.LATE, "the arm does not stop")
 
     def _tell(self, commands: Sequence[ToolCommand]) -> None:
         """Tell the tool."""
@@ -324,31 +204,33 @@ class RosPlant:
             if one.load is not None:
                 self._told["/tool/load"].publish({"data": one.load})
 
-    def _report(
-        self, stop: Stop, motion: Motion, done: float, begun: float, why: str = ""
-    ) -> Report:
-        now, joints, _ = self._joints()
-        if stop is Stop.END and len(motion.joints):
-            joints = motion.joints[-1].copy()
-        return Report(stop, done, joints, max(now - begun, 0.0), why, self._tool())
-
-    def request(self, request: Request) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        begun = self.sense().time
-        if self.around.serve is not None:
-            self.around.serve(request)
-        return self._report(Stop.END, Motion(request.what, *[np.zeros(0)] * 3), 1.0, begun)
-
     def stop(self) -> None:
-        """The arm stands when this returns, or nobody can be told to stop it.
+        """The arm stands when this returns, or nobody can be told to stop it: the goal is
+        cancelled, and as not every bridge passes that on, a short one takes its place.
 
         Raises:
             PlantError: where it still moves after :data:`CONNECT`.
         """
         if not self._ros.is_connected or self._stopped():
             return
-        if np.abs(self._joints()[2]).max() > STANDS:
-            self._stand("")
+        if self._goal and not self._result.came.is_set():
+            self._action.cancel_goal(self._goal)
+        elif np.abs(self._joints()[2]).max() <= STANDS:
+            return
+        _, q, v = self._joints()
+        seconds = max(2 * float((np.abs(v) / self.arm.acceleration).max()), SHORTEST)
+        there = np.clip(q + v * seconds / 2, self.arm.lower, self.arm.upper)
+        rest = np.zeros_like(q)
+        brake = Motion("", np.array([0.0, seconds]), np.stack([q, there]), np.stack([v, rest]))
+        self._go(brake)
+        until, still = time.monotonic() + CONNECT, 0
+        while time.monotonic() < until and self._ros.is_connected:
+            still = still + 1 if np.abs(self._joints()[2]).max() <= STANDS else 0
+            if still > 3 or self._stopped():
+                return
+            time.sleep(2 * POLL)
+        if self._ros.is_connected:
+            raise PlantError(Stop.LATE, "the arm does not stop")
 
     def close(self) -> None:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
@@ -364,7 +246,7 @@ class _Result:
     """What comes of a goal."""
 
     def __init__(self) -> None:
-        self.begun, self.came = threading.Event(), threading.Event()
+        self.begun, self.came, self.sent = threading.Event(), threading.Event(), time.monotonic()
         self.said: dict[str, Any] = {}
 
     def take(self, said: Any) -> None:

@@ -20,12 +20,19 @@ import numpy as np
 
 from learn2assemble.controllers.common import (
     Address,
-    ControllerClock,
     felt,
     lost,
     marks_of,
-    not_begun,
     refused,
+)
+from learn2assemble.controllers.controller import (
+    CONNECT,
+    LATE,
+    POLL,
+    SLACK,
+    STANDS,
+    Controller,
+    State,
 )
 from learn2assemble.controllers.ur_motion import (
     BEAT,
@@ -37,37 +44,27 @@ from learn2assemble.controllers.ur_motion import (
     stop_script,
 )
 from learn2assemble.errors import InputError, extra
-from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.cubics import thinned
 from learn2assemble.motion.plant import (
     Guard,
     Motion,
     PlantError,
-    Readings,
     Report,
-    Request,
     Stop,
     ToolCommand,
     ToolReading,
 )
-from learn2assemble.motion.program import driver_of
 from learn2assemble.motion.setup import Setup
 
 STATE, SCRIPTS, DASHBOARD = 30004, 30002, 29999
 """Ports."""
 RATE = 125.0
 """States per second."""
-CONNECT = 3.0
-"""Longest wait for an answer while connecting [s]."""
-POLL = 0.004
-"""Between two looks at the state [s]."""
-LATE, SLACK = 1.5, 2.0
-"""A motion that takes longer than its time by this factor, and so much more [s], is late."""
 ENDED = 0.1
 """So long a program may seem to have ended without saying what came of it [s]: what is read of the
 state may be of two instants."""
-RUNNING, STANDS = 7, 0.005
-"""Mode of a robot that may move; slower joints stand [rad/s]."""
+RUNNING = 7
+"""Mode of a robot that may move."""
 VARIABLES = (
     "timestamp",
     "actual_q",
@@ -96,7 +93,7 @@ _STOPS = {
 }
 
 
-class UrPlant:
+class UrPlant(Controller):
     """An arm behind its controller.
 
     Args:
@@ -110,12 +107,7 @@ class UrPlant:
     """
 
     def __init__(self, place: str, setup: Setup) -> None:
-        self.place, self.arm, self.around = (
-            Address.read("ur", place, SCRIPTS),
-            setup.arm,
-            setup.around,
-        )
-        self.settings, self.driver = self.around.program, driver_of(setup.arm)
+        super().__init__(Address.read("ur", place, SCRIPTS), setup)
         if setup.arm.name != "ur5e":
             raise InputError("robot", f"ur://{place}", f"a controller of the arm {setup.arm.name}")
         held = self.settings.input
@@ -137,34 +129,22 @@ class UrPlant:
         except (RuntimeError, ValueError) as error:
             self._beat.close()
             raise lost(" ".join(str(error).split())) from None
-        self._clock = ControllerClock(self.around.silence)
-        self._base = quaternion_matrix(self.driver.base[3:])
 
     # ------------------------------------------------------------ what is sensed
 
-    def sense(self) -> Readings:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        why = self._silence()
-        if why:
-            raise lost(why)
-        moving = self._state.getRuntimeState() == _PLAYING or self._speed() > STANDS
-        state = "stopped" if self._stopped() else "moving" if moving else "ready"
-        look = self.around.look
-        return Readings(
+    def _read(self) -> State:
+        return State(
             self._state.getTimestamp(),
             np.array(self._state.getActualQ()),
             np.array(self._state.getActualQd()),
-            () if look is None else tuple(look()),
             self._tool(),
-            self.arm.name,
-            state,
+            self._stopped(),
+            self._state.getRuntimeState() == _PLAYING,
         )
 
     def _tool(self) -> ToolReading:
-        force = self._base @ np.array(self._state.getActualTCPForce()[:3])
-        x, y, z = force.tolist()
-        suction = self.arm.suction is not None
-        return ToolReading(vacuum=self._held() if suction else None, force=(x, y, z))
+        vacuum = None if self.arm.suction is None else self._held()
+        return ToolReading(vacuum=vacuum, force=self._force(self._state.getActualTCPForce()[:3]))
 
     def _held(self) -> bool:
         held = self.settings.input
@@ -192,10 +172,6 @@ class UrPlant:
             return "the controller closed the connection"
         return self._clock.odd(self._state.getTimestamp(), time.monotonic())
 
-    def rate(self) -> float | None:
-        """States a second that were seen."""
-        return self._clock.rate()
-
     # ------------------------------------------------------------ what is carried out
 
     def execute(
@@ -205,10 +181,9 @@ class UrPlant:
         guards: Sequence[Guard] = (),
     ) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
-        now = self.sense()
-        amiss = not_begun(now, motion, self.settings.start_tolerance, self._stopped())
-        if amiss is not None:
-            return self._report(amiss[0], motion, 0.0, now.time, amiss[1])
+        _, odd = self._begin(motion)
+        if odd is not None:
+            return odd
         self.serial += 1
         thin = thinned(motion, marks_of(motion, commands, guards))
         script = motion_script(
@@ -266,30 +241,11 @@ class UrPlant:
             # Others were found by the program, which has stopped the arm.
             with contextlib.suppress(PlantError):
                 self.stop()
-        share = 1.0
-        if where is not Stop.END:
-            share = min(past / motion.seconds, 1.0) if motion.seconds else 0.0
-        return self._report(where, motion, share, first, why)
+        return self._report(where, motion, past, first, why)
 
     def _ours(self) -> bool:
         """Whether the last program that has begun is the last one that was sent."""
         return self._state.getOutputIntRegister(SERIAL) == self.serial
-
-    def _report(
-        self, stop: Stop, motion: Motion, done: float, begun: float, why: str = ""
-    ) -> Report:
-        joints = np.array(self._state.getActualQ())
-        if stop is Stop.END and len(motion.joints):
-            joints = motion.joints[-1].copy()
-        seconds = max(self._state.getTimestamp() - begun, 0.0)
-        return Report(stop, done, joints, seconds, why, self._tool())
-
-    def request(self, request: Request) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        begun = self.sense().time
-        if self.around.serve is not None:
-            self.around.serve(request)
-        return self._report(Stop.END, Motion(request.what, *[np.zeros(0)] * 3), 1.0, begun)
 
     def stop(self) -> None:
         """The arm stands when this returns, or nobody can be told to stop it, and it stops by
