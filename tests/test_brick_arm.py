@@ -54,6 +54,24 @@ def test_what_tips_when_it_is_pressed_is_built_beside() -> None:
     assert states.stands_pressed([2, 3], frozenset({0, 1}))
 
 
+def test_what_is_built_beside_comes_as_it_is() -> None:
+    """A part of two bricks of which one is turned by a quarter, pressed home as one."""
+    bridge = duplo(
+        ((4, 2), (0, 3, 0)),
+        ((4, 2), (0, 5, 0)),
+        ((2, 2), (1, 4, 1)),
+        ((4, 2), (0, 4, 2)),
+        ((2, 2), (1, 2, 1)),
+        ((2, 4), (1, 0, 2)),
+    )
+    plan = l2a.build(bridge, arm="panda", physics="dynamic")
+    assert plan.complete
+    assert plan.arm is not None
+    assert [step.way for step in plan.steps].count("beside") == 2
+    assert plan.arm.attempts == len(plan.steps) + 1
+    assert (plan.arm.error_worst or 0.0) <= 5e-4
+
+
 def test_order_and_grasps_are_chosen_together() -> None:
     plan = l2a.build(WALL, arm="panda", physics="kinematic")
     assert plan.complete

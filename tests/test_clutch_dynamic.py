@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 
 import learn2assemble as l2a
 from learn2assemble.assembly.blocks import Assembly
@@ -38,7 +40,7 @@ def scene_of(assembly: Assembly, states: BrickStates) -> Scene:
     """An assembly as a simulation takes it, every joint home."""
     boxes = np.array([[b.vertices.min(0), b.vertices.max(0)] for b in assembly.blocks])
     count = len(boxes)
-    joints = tuple(states.stud_joint(*pair)._replace(home=True) for pair in states.knobs)
+    joints = tuple(states.stud_joint(*pair)._replace(home=True) for pair in states.mates.knobs)
     return Scene(
         boxes.mean(1),
         np.zeros(count),
@@ -143,6 +145,55 @@ def test_loads_that_a_joint_bears_are_those_of_the_program() -> None:
         assert holds(joint, force, couple) == (stands or faces), (size, under, at, push)
         kinds.add(stands)
     assert kinds == {True, False}
+
+
+def balanced(points: np.ndarray, pull: float, middle: np.ndarray, load: np.ndarray) -> bool:
+    """Whether pushes at some points, float64[k, 2], and a pull in their middle make a force up and
+    a couple, float64[3]: by a linear program."""
+    x, y = points.T
+    made = np.array([np.ones(len(points)), y, -x])
+    wanted = load + pull * np.array([1.0, middle[1], -middle[0]])
+    return linprog(np.zeros(len(points)), A_eq=made, b_eq=wanted).status == 0
+
+
+def test_faces_bear_what_presses_where_they_meet() -> None:
+    rng, counts = np.random.default_rng(1), Counter[str]()
+    joint = BrickStates(duplo(((2, 4), (0, 0, 0)), ((2, 4), (0, 2, 1)))).stud_joint(0, 1)
+    low, high = joint.face
+    corners = np.array([(x, y) for x in (low[0], high[0]) for y in (low[1], high[1])])
+    knobs, middle = np.array(joint.hull), np.array(joint.middle)
+    for _ in range(300):
+        load = np.array([rng.uniform(-10, 60), *rng.uniform(-0.6, 0.6, 2)])
+        by_knobs = balanced(knobs, joint.pull, middle, load)
+        by_faces = balanced(corners, 0.0, middle, load)
+        found = holds(joint, np.array([0.0, 0.0, load[0]]), np.array([*load[1:], 0.0]))
+        assert found == (by_knobs or by_faces)
+        # Both together bear more: what the simulation lets stand is on the safe side of that.
+        assert not found or balanced(np.vstack([knobs, corners]), joint.pull, middle, load)
+        counts["knobs" if by_knobs else "faces" if by_faces else "neither"] += 1
+    assert min(counts[one] for one in ("knobs", "faces", "neither")) > 10
+
+
+def test_what_one_joint_cannot_bear_the_others_do() -> None:
+    """Two bricks side by side with one across, and a fourth pressed on the rim of the second: the
+    ground bears it, but as all gives a little, the joints of the one across get more than they
+    can."""
+    four = duplo(((4, 2), (0, 0, 0)), ((4, 2), (0, 2, 0)), ((2, 2), (1, 1, 1)), ((2, 2), (0, 3, 1)))
+    states = BrickStates(four)
+    assert states.stands_pressed([3], frozenset({0, 1, 2}))
+    scene = scene_of(four, states)
+    assert scene.studs is not None
+    joints = tuple(one._replace(home=one.upper != 3) for one in scene.studs.joints)
+    target = scene.position[3].copy()
+    waiting = scene.position.copy()
+    waiting[3] += (0.0, -0.2, -0.0192)
+    scene = scene._replace(position=waiting, num_placed=3, studs=Studs(joints, four.joint.press))
+    hand = Attitude(yaw=np.pi / 2, depth=0.004)
+    cell = DynamicCell(get_arm("panda", "gripper", (-0.5, 0, 0, 0)))
+    found = cell.attempt(scene, Move(3, target, hand, hand))
+    assert found.reached
+    assert found.home is not None
+    assert {(0, 2), (1, 2), (1, 3)} <= set(found.home)
 
 
 @pytest.mark.parametrize("arm", ["panda", "ur5e"])

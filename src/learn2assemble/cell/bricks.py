@@ -1,80 +1,49 @@
 """Bricks that clutch, as an arm builds them: what is pressed on what, and whether a state stands.
 
 A state is proven with the law of its joints, and again while a brick is pressed home
-(:mod:`learn2assemble.statics.holding`).
+(:class:`~learn2assemble.statics.laws.ByStrength`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly
-from learn2assemble.assembly.bricks.lattice import GROUND, StudLattice, grip
+from learn2assemble.assembly.bricks.lattice import GROUND, grip
+from learn2assemble.assembly.bricks.mates import BrickMates, Press
 from learn2assemble.cell.workcell import STANDING, Job, Rows, Structure, WorkcellBlocks
-from learn2assemble.errors import InputError
 from learn2assemble.robot.studs import StudJoint, Studs
 from learn2assemble.statics.holding import Push
 from learn2assemble.statics.holding_check import stands_by_joints
-from learn2assemble.statics.proofs import CLUTCH, CLUTCH_TIGHT
-
-
-class Knobs(NamedTuple):
-    """A joint of two bricks."""
-
-    count: int
-    middle: tuple[float, float]
-    """Of its knobs in the structure [m]."""
+from learn2assemble.statics.laws import ByStrength
+from learn2assemble.statics.states import State
 
 
 class BrickStates:
-    """Answers whether states of bricks stand, also while they are pressed; answers are kept.
+    """Answers whether states of bricks stand, also while they are pressed.
 
     Args:
         assembly: bricks on a lattice of studs whose joints clutch.
 
     Raises:
-        InputError: for joints of several laws, and for blocks that are no bricks on one lattice.
+        InputError: as :class:`~learn2assemble.assembly.bricks.mates.BrickMates`.
     """
 
     def __init__(self, assembly: Assembly) -> None:
-        joint = assembly.joint
-        if joint.law != "clutch" or assembly.joints:
-            raise InputError("joints", "several laws", "one clutch for all, for an arm")
-        self.assembly, self.joint = assembly, joint
+        self.mates = BrickMates(assembly)
+        self.assembly, self.joint = assembly, assembly.joint
         found = stands_by_joints(assembly)
-        self.need, self.tight, self.balance = found.need, found.tight, found.balance
-        self.lattice = lattice = StudLattice(assembly.blocks, joint.pitch)
-        self.count = count = len(assembly.blocks)
-        self.lower: list[set[int]] = [set() for _ in range(count)]
-        """Of each brick those it is pressed on, GROUND among them."""
-        self.upper: list[set[int]] = [set() for _ in range(count)]
-        self.knobs: dict[tuple[int, int], Knobs] = {}
-        """By lower and upper brick."""
-        clutches = lattice.clutches(ground=True)
-        middle = (clutches.first + clutches.last) / 2 * joint.pitch[0] + lattice.offset[:2]
-        many = (clutches.last - clutches.first).prod(1)
-        for a, b, n, (x, y) in zip(
-            clutches.lower.tolist(),
-            clutches.upper.tolist(),
-            many.tolist(),
-            middle.tolist(),
-            strict=True,
-        ):
-            self.knobs[a, b] = Knobs(n, (x, y))
-            self.lower[b].add(a)
-            if a != GROUND:
-                self.upper[a].add(b)
-        low, high = lattice.low, lattice.high
-        meet = (low[:, None, :2] < high[None, :, :2]).all(2)
-        meet &= (high[:, None, :2] > low[None, :, :2]).all(2)
-        over = meet & (low[None, :, 2] >= high[:, None, 2])
-        self.over = [set(np.flatnonzero(row).tolist()) for row in over]
-        """Of each brick those that are above it, wherever."""
-        self._known: dict[tuple[frozenset[int], int, Push | None], bool] = {}
+        self.need, self.balance = found.need, found.balance
+        self.law = ByStrength(assembly, found.balance, found.tight)
+
+    def present(self, bricks: frozenset[int]) -> np.ndarray:
+        """bool[B]: bricks that are there."""
+        there = np.zeros(self.mates.count, bool)
+        there[list(bricks)] = True
+        return there
 
     def stands(self, present: frozenset[int], held: int = GROUND, push: Push | None = None) -> bool:
         """Whether a state stands.
@@ -84,48 +53,23 @@ class BrickStates:
             held: one that a hand holds; none by default.
             push: a further force.
         """
-        key = present, held, push
-        if key not in self._known:
-            there, fixed = np.zeros(self.count, bool), np.zeros(self.count, bool)
-            there[list(present)] = True
-            if held != GROUND:
-                fixed[held] = True
-            self._known[key] = self.balance.stands(there, fixed, push)
-        return self._known[key]
+        hand = self.present(frozenset() if held == GROUND else frozenset({held}))
+        return self.law.stands(State(self.present(present), hand), push=push)
 
     def stands_pressed(self, group: Iterable[int], rest: frozenset[int]) -> bool:
         """Whether bricks that come to the rest together are carried while they are pressed."""
         group = tuple(group)
-        push = self.press_on(group, rest)
-        return push is not None and self.stands(rest | set(group), GROUND, push)
+        found = self.press_on(group, rest)
+        push = Push(found.brick, self.joint.press, found.at)
+        return bool(found.knobs) and self.stands(rest | set(group), GROUND, push)
 
-    def press_on(self, group: tuple[int, ...], rest: frozenset[int]) -> Push | None:
-        """The press that brings some bricks home on what is there: over the middle of their knobs,
-        on the one with most of them. None where they meet no knobs."""
-        most, chosen, total, where = 0, group[0], 0, np.zeros(2)
-        for b in group:
-            mates = [a for a in self.lower[b] if a in rest or a == GROUND]
-            own = [self.knobs[a, b] for a in mates]
-            count = sum(one.count for one in own)
-            total += count
-            where += sum((one.count * np.array(one.middle) for one in own), np.zeros(2))
-            if count > most:
-                most, chosen = count, b
-        if not total:
-            return None
-        x, y = (round(v, 9) for v in (where / total).tolist())
-        return Push(chosen, self.joint.press, (x, y))
+    def press_on(self, group: tuple[int, ...], rest: frozenset[int]) -> Press:
+        """Where some bricks are pressed home on what is there."""
+        return self.mates.press(group, self.present(rest))
 
     def loose(self, present: frozenset[int]) -> frozenset[int]:
         """Bricks that hang on nothing that stands."""
-        reached = [b for b in present if GROUND in self.lower[b]]
-        found = set(reached)
-        for b in reached:
-            for other in (*self.lower[b], *self.upper[b]):
-                if other in present and other not in found:
-                    found.add(other)
-                    reached.append(other)
-        return present - found
+        return frozenset(self.mates.loose(self.present(present)).tolist())
 
     def on_table(self, group: Iterable[int]) -> BrickStates:
         """The same of some bricks that stand on a table, where nothing grips them; they are
@@ -137,14 +81,10 @@ class BrickStates:
         joint = replace(self.joint, base="table")
         return BrickStates(replace(self.assembly, blocks=lowered, steps=(), joint=joint))
 
-    def proof(self) -> str:
-        """What shows that its states stand."""
-        return CLUTCH_TIGHT if self.tight else CLUTCH
-
     def stud_joint(self, lower: int, upper: int) -> StudJoint:
         """A joint of two bricks where they are in the structure, as a simulation takes it; its
         cells are the numbers of the bricks."""
-        lattice, (stud, layer) = self.lattice, self.joint.pitch
+        lattice, (stud, layer) = self.mates.lattice, self.joint.pitch
         corner = lattice.low[upper, :2]
         first, last = corner, lattice.high[upper, :2]
         if lower != GROUND:
@@ -188,12 +128,12 @@ class BrickStructure(Structure):
     def __init__(self, job: Job) -> None:
         self.job, self.leans = job, False
         self.states = states = BrickStates(job.assembly.finished)
-        self.below = [lower - {GROUND} for lower in states.lower]
-        self.above = states.upper
+        self.below = [set(lower) - {GROUND} for lower in states.mates.lower]
+        self.above = [set(upper) for upper in states.mates.upper]
         self._proven = {frozenset[int]()}
         self._joints = {
             pair: states.stud_joint(*pair)
-            for pair in states.knobs
+            for pair in states.mates.knobs
             if pair[0] != GROUND or states.joint.base == "grips"
         }
 
@@ -211,7 +151,7 @@ class BrickStructure(Structure):
             placing: whether it comes to its place.
             group: what it brings along.
         """
-        row = {k: n for n, k in enumerate(rows.owner.tolist()) if 0 <= k < self.states.count}
+        row = {k: n for n, k in enumerate(rows.owner.tolist()) if 0 <= k < self.states.mates.count}
         moving = {int(rows.owner[-1]), *group, *rows.owner[rows.scene.num_placed :].tolist()}
         beside = world.beside.copy()
         if group:
@@ -235,16 +175,16 @@ class BrickStructure(Structure):
     ) -> tuple[float, float] | None:
         """Where a brick that comes to its place, perhaps with others, is pressed home, x and y from
         its own middle [m]; None: it is not pressed."""
-        push = self.states.press_on((block, *group), frozenset(standing))
-        if push is None:
+        found = self.states.press_on((block, *group), frozenset(standing))
+        if not found.knobs:
             return None
         x, y = self.job.pieces[block].target[:2].tolist()
-        return push.at[0] - x, push.at[1] - y
+        return found.at[0] - x, found.at[1] - y
 
     def loose(self, block: int, world: WorkcellBlocks) -> bool:
         """Whether a brick in its place is pressed home on nothing that stands under it. One joint
         that has opened beside others is left: to take the brick off would open more."""
-        own = [(a, block) for a in self.states.lower[block] if (a, block) in self._joints]
+        own = [(a, block) for a in self.states.mates.lower[block] if (a, block) in self._joints]
         there = [
             (a, b)
             for a, b in own
@@ -266,6 +206,6 @@ class BrickStructure(Structure):
         every direction [g] that they withstand; None where nothing shows it."""
         if not self.states.stands(standing):
             return None
-        present = np.zeros(self.states.count, bool)
-        present[list(standing)] = True
-        return self.states.proof(), self.states.balance.margin_g(present)
+        present = self.states.present(standing)
+        proof, _ = self.states.law.report(State(present, np.zeros_like(present)))
+        return proof, self.states.balance.margin_g(present)

@@ -161,7 +161,7 @@ class _Disassembly:
 
     def removals(self, part: _Subassembly, present: frozenset[int]) -> Iterator[_TakenOff]:
         """What may be taken off: alone, then with what it carries."""
-        over, covered = self.structure.states.over, []
+        over, covered = [set(a.tolist()) for a in self.structure.states.mates.over], []
         for b in (b for b in self.rank if b in present):
             rest = present - {b}
             loose = part.states.loose(part.of(rest))
@@ -185,7 +185,7 @@ class _Disassembly:
         """Whether what is left stands, and what comes to it, also while that is pressed home."""
         states, left = part.states, part.of(rest)
         own = tuple(part.number[b] for b in group)
-        if not any(a == GROUND or a in left for b in own for a in states.lower[b]):
+        if not any(a == GROUND or a in left for b in own for a in states.mates.lower[b]):
             return False
         if left and not states.stands(left):
             return False

@@ -12,12 +12,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep
-from learn2assemble.assembly.bricks.lattice import GROUND, StudLattice
-from learn2assemble.errors import InputError
+from learn2assemble.assembly.bricks.lattice import GROUND
+from learn2assemble.assembly.bricks.mates import BrickMates
 from learn2assemble.planning.sequence import Doing, Supports, Transition, Way
 from learn2assemble.statics.holding import Push
 from learn2assemble.statics.laws import ByStrength
@@ -44,44 +42,18 @@ class TakingApart:
     patient = True
 
     def __init__(self, assembly: Assembly, law: ByStrength, supports: Supports) -> None:
-        joint = assembly.joint
-        if joint.law != "clutch" or assembly.joints:
-            raise InputError("joints", "several laws", "one clutch for all, for an order of bricks")
-        self.blocks, self.law, self.help, self.press = assembly.blocks, law, supports, joint.press
-        self.fixed = np.array([block.support for block in assembly.blocks])
-        self.lattice = lattice = StudLattice(assembly.blocks, joint.pitch)
-        count = len(assembly.blocks)
-        self.tries = _TRIES[0] + _TRIES[1] * count
-        self.first = Transition((), State(np.ones(count, bool), np.zeros(count, bool)))
-        self.ground = State(self.fixed, np.zeros(count, bool))
-        self.lower: list[list[int]] = [[] for _ in range(count)]
-        self.upper: list[list[int]] = [[] for _ in range(count)]
-        clutches = lattice.clutches(ground=not self.fixed.any())
-        self.knobs: dict[tuple[int, int], tuple[float, np.ndarray]] = {}
-        """Of the joint of a lower and an upper brick: how many, and their middle [m]."""
-        middle = (clutches.first + clutches.last) / 2 * joint.pitch[0] + lattice.offset[:2]
-        many = (clutches.last - clutches.first).prod(1)
-        for a, b, n, at in zip(
-            clutches.lower.tolist(), clutches.upper.tolist(), many.tolist(), middle, strict=True
-        ):
-            self.knobs[a, b] = float(n), at
-            self.lower[b].append(a)
-            if a != GROUND:
-                self.upper[a].append(b)
-        self._pairs = np.where(clutches.lower == GROUND, count, clutches.lower), clutches.upper
-        self.based = np.array([GROUND in lower for lower in self.lower])
-        low, high = lattice.low, lattice.high
-        meet = (low[:, None, :2] < high[None, :, :2]).all(2) & (
-            high[:, None, :2] > low[None, :, :2]
-        ).all(2)
-        over = meet & (low[None, :, 2] >= high[:, None, 2])
-        self.over = [np.flatnonzero(row) for row in over]
-        self.under = [np.flatnonzero(row) for row in over.T]
+        self.law, self.help, self.strength = law, supports, assembly.joint.press
+        self.mates = mates = BrickMates(assembly)
+        self.fixed, low, high = mates.fixed, mates.lattice.low, mates.lattice.high
+        self.tries = _TRIES[0] + _TRIES[1] * mates.count
+        nobody = np.zeros(mates.count, bool)
+        self.first = Transition((), State(~nobody, nobody))
+        self.ground = State(self.fixed, nobody)
         self.rank = np.lexsort((low[:, 1], low[:, 0], -high[:, 2])).tolist()
 
     def hanging(self) -> list[int]:
         """Bricks under which there is nothing to press them on."""
-        return [k for k, lower in enumerate(self.lower) if not lower and not self.fixed[k]]
+        return [k for k, lower in enumerate(self.mates.lower) if not lower and not self.fixed[k]]
 
     def key(self, move: Transition) -> bytes:
         """What is there and what is held."""
@@ -128,14 +100,14 @@ class TakingApart:
         covered: list[tuple[int, State]] = []
         for b in [b for b in self.rank if free[b]]:
             way, rest = self.way([b], state), _without(state, [b])
-            if way is None or len(self.loose(rest)):
+            if way is None or len(self._loose(rest)):
                 covered.append((b, rest))
             elif held[b] or self._meets(b, way, rest):
                 single.append((b, way, rest))
                 yield from self._single(b, way, state, rest)
         groups = []
         if self.help.hands:
-            groups = [(b, self.loose(rest)) for b, rest in covered if not held[b]]
+            groups = [(b, self._loose(rest)) for b, rest in covered if not held[b]]
             groups = [(b, loose) for b, loose in groups if len(loose)]
         for b, loose in sorted(groups, key=lambda one: len(one[1])):
             yield from self._several(b, loose, state)
@@ -168,7 +140,7 @@ class TakingApart:
         if pressed is None:
             return
         mate, under = pressed
-        middle = self.middle(self.press_on([b], way, rest))
+        middle = self.press_on([b], way, rest)._replace(at=self.mates.middle(b))
         steps = [Doing("place", b, way)]
         if self.help.holds > 0 and not self.law.stands(under, push=middle):
             steps += [Doing("hold", b), Doing("release", b)]
@@ -198,9 +170,9 @@ class TakingApart:
         most = max(mates, key=lambda m: self._knobs(m, mates[m]))
         return most, state.change(hold=[most])
 
-    def _knobs(self, one: int, other: int) -> float:
-        pair = (one, other) if (one, other) in self.knobs else (other, one)
-        return self.knobs[pair][0]
+    def _knobs(self, one: int, other: int) -> int:
+        knobs = self.mates.knobs
+        return knobs[(one, other) if (one, other) in knobs else (other, one)].count
 
     def _helpers(self, rest: State) -> list[int]:
         """Bricks that a hand may hold where the rest falls: those that move first."""
@@ -208,7 +180,7 @@ class TakingApart:
             return []
         moving = self.law.moving(rest)
         some = [b for b in moving if rest.present[b] and not self.fixed[b] and not rest.held[b]]
-        return sorted(some, key=lambda b: -self.lattice.high[b, 2])[:_HELPERS]
+        return sorted(some, key=lambda b: -self.mates.lattice.high[b, 2])[:_HELPERS]
 
     def _several(self, b: int, loose: np.ndarray, state: State) -> Iterator[Transition]:
         """A brick with what comes off with it, built beside and attached as one."""
@@ -221,14 +193,14 @@ class TakingApart:
             return
         there = rest.change(place=[b], hold=[b])
         steps = [Doing("place", b, "beside"), Doing("hold", b)]
-        left, layer = set(loose.tolist()), self.lattice.low[:, 2]
+        left, layer = set(loose.tolist()), self.mates.lattice.low[:, 2]
         while left:
             ready = [k for k in left if there.present[self._mates(k)].any()]
             if not ready:
                 return
             k = min(ready, key=lambda one: (abs(layer[one] - layer[b]), one))
             there = there.change(place=[k])
-            below = any(m != GROUND and there.present[m] for m in self.lower[k])
+            below = any(m != GROUND for m in self.mates.meets(k, there.present))
             press = self.press_on([k], "above" if below else "below", there)
             if not self.law.stands(there, push=press):
                 return
@@ -250,58 +222,32 @@ class TakingApart:
     # ------------------------------------------------------------ questions
 
     def press_on(self, group: list[int], way: Way, rest: State) -> Push:
-        """The press that brings some bricks home on what is there: over the middle of their knobs.
-
-        Whoever presses chooses where; a hand or a gripper does that without tilting the brick.
-        """
-        most, chosen, total, where = -1.0, group[0], 0.0, np.zeros(2)
-        for b in group:
-            own = 0.0
-            for other in self.lower[b] if way == "above" else self.upper[b]:
-                if other == GROUND or rest.present[other]:
-                    many, at = self.knobs[(other, b) if way == "above" else (b, other)]
-                    own, total, where = own + many, total + many, where + many * at
-            if own > most:
-                most, chosen = own, b
-        if total == 0:
-            return self.middle(Push(chosen, 0.0, (0.0, 0.0)))
-        x, y = (round(v, 9) for v in (where / total).tolist())
-        return Push(chosen, self.press if way == "above" else -self.press, (x, y))
-
-    def middle(self, push: Push) -> Push:
-        """The same force at the middle of the brick."""
-        x, y = self.blocks[push.block].centroid[:2].tolist()
-        return push._replace(at=(round(x, 9), round(y, 9)))
+        """The press that brings some bricks home on what is there."""
+        found = self.mates.press(group, rest.present, way == "below")
+        force = self.strength if way == "above" else -self.strength
+        return Push(found.brick, force if found.knobs else 0.0, found.at)
 
     def way(self, group: list[int], state: State) -> Way | None:
         """Along which way some bricks come off together."""
-        rest = _without(state, group).present
-        if not any(rest[self.over[b]].any() for b in group):
+        rest, mates = _without(state, group).present, self.mates
+        if not any(rest[mates.over[b]].any() for b in group):
             return "above"
-        based = self.based[group].any() or self.fixed[group].any()
-        if self.help.hands and not based and not any(rest[self.under[b]].any() for b in group):
+        based = mates.based[group].any() or self.fixed[group].any()
+        if self.help.hands and not based and not any(rest[mates.under[b]].any() for b in group):
             return "below"
         return None
 
     def _meets(self, b: int, way: Way, rest: State) -> bool:
         """Whether a brick meets knobs, or its knobs meet a brick, where it comes to."""
-        others = self.lower[b] if way == "above" else self.upper[b]
-        return any(m == GROUND or rest.present[m] for m in others)
+        return bool(self.mates.meets(b, rest.present, way == "below"))
 
-    def loose(self, state: State) -> np.ndarray:
+    def _loose(self, state: State) -> np.ndarray:
         """int64[n]: bricks that hang on nothing that stands."""
-        present, count = state.present, len(state.present)
-        a, b = self._pairs
-        on = present[b] & ((a == count) | present[np.minimum(a, count - 1)])
-        still = np.flatnonzero(present & (self.fixed | state.held))
-        first = np.concatenate([a[on], np.full(len(still), count)])
-        last = np.concatenate([b[on], still])
-        graph = sp.coo_matrix((np.ones(len(first)), (first, last)), (count + 1, count + 1))
-        piece = connected_components(graph, directed=False)[1]
-        return np.flatnonzero(present & (piece[:count] != piece[count]))
+        return self.mates.loose(state.present, state.held)
 
     def _mates(self, block: int) -> list[int]:
-        return [m for m in (*self.lower[block], *self.upper[block]) if m != GROUND]
+        mates = self.mates
+        return [m for m in (*mates.lower[block], *mates.upper[block]) if m != GROUND]
 
 
 def _without(state: State, blocks: list[int]) -> State:

@@ -10,8 +10,13 @@ attack
 .. math:: (-M_y + \sum T x,\; M_x + \sum T y) / N
 
 is in the hull of the contact points. A load that presses where the faces meet is borne by them,
-too: which of several joints bears it is not a matter of choice here, as it is in a proof. Beyond,
-the joint opens, for good.
+too: which of several joints bears it is not a matter of choice here, as it is in a proof.
+
+What clutches by friction slips at its capacity and goes on bearing that, so where forces balance a
+structure it does not fall, however stiff its joints are (the static theorem of limit analysis, on
+which the proofs rest). So a joint that bears more than it can gives, a few micrometres, until it
+bears the share of its load that it can, and others take over the rest. Where they cannot, it gives
+again and again, and opens, for good.
 
 A joint that is home is a weld without give, which bears the load with the contact of the faces.
 Capacities are those of the kit: 0.70 N a contact point (measured by others on small bricks; 0.98 N
@@ -46,6 +51,10 @@ DRAWN = 0.3
 """Share of the way to its place on which a joint draws its brick between two looks."""
 NEAR_ENOUGH, NUDGE = 1e-6, 1e-9
 """Drawn so near it is there [m], [rad]; a force that only wakes a body [N]."""
+GIVES = 6
+"""A joint gives so many times in a row before it opens: half a second."""
+HALVED = 20
+"""Steps of the search for the share of a load that a joint bears."""
 EDGE = 1e-5
 """The point of attack may be so far outside the hull [m]."""
 
@@ -68,6 +77,17 @@ def holds(joint: StudJoint, force: np.ndarray, couple: np.ndarray) -> bool:
         return False
     at = np.array([-couple[1], couple[0]]) + joint.pull * np.array(joint.middle)
     return _outside(np.array(joint.hull), at / push) <= EDGE
+
+
+def borne(joint: StudJoint, force: np.ndarray, couple: np.ndarray) -> float:
+    """The largest share of a load that a joint bears, 0 to 1."""
+    if holds(joint, force, couple):
+        return 1.0
+    low, high = 0.0, 1.0
+    for _ in range(HALVED):
+        share = (low + high) / 2
+        low, high = (share, high) if holds(joint, share * force, share * couple) else (low, share)
+    return low
 
 
 def _outside(hull: np.ndarray, point: np.ndarray) -> float:
@@ -103,7 +123,7 @@ class Clutch:
         body = owner + world.first
         self._body = {GROUND: 0, **{k: int(b) for k, b in enumerate(body.tolist())}}
         self._offset = {GROUND: np.zeros(3), **dict(enumerate(objects.offset))}
-        own = set(np.flatnonzero(owner == target).tolist())
+        self._owner = owner
         self._first = m.equality("clutch0").id if world.num_welds else -1
         self._slot: dict[int, int] = {}
         for n, joint in enumerate(self.joints):
@@ -112,11 +132,14 @@ class Clutch:
             if ends[0] != ends[1] and moves and len(self._slot) < world.num_welds:
                 self._slot[n] = self._first + len(self._slot)
         data.eq_active[self._first : self._first + world.num_welds] = 0
-        self.wanted = [n for n in self._slot if self._is_wanted(self.joints[n], own)]
-        """Joints that the move makes."""
+        self.aim(target)
         self._steps, self._sum = 0, {n: np.zeros(6) for n in self._slot}
         self._off: dict[int, np.ndarray] = {}
         """By joint, float64[6]: how far its rest is from its place [m], [rad]."""
+        self._slip: dict[int, np.ndarray] = {}
+        """By joint, float64[6]: how far it has given [m], [rad], ..."""
+        self._given = dict.fromkeys(self._slot, 0)
+        """... and how many times in a row."""
         self._calm = 0
         """Step at which the last joint had drawn its brick to its place."""
         self._held = set[int]()
@@ -135,9 +158,16 @@ class Clutch:
             for cell in (self.joints[n].lower, self.joints[n].upper):
                 self.data.xfrc_applied[self._body[cell], 2] = force
 
-    @staticmethod
-    def _is_wanted(joint: StudJoint, own: set[int]) -> bool:
-        return not joint.home and (joint.upper in own) != (joint.lower in own)
+    def aim(self, target: int) -> None:
+        """From now on this object is moved; none where the number is below 0."""
+        own = set(np.flatnonzero(self._owner == target).tolist())
+        self.wanted = [
+            n
+            for n in self._slot
+            if not self.joints[n].home
+            and (self.joints[n].upper in own) != (self.joints[n].lower in own)
+        ]
+        """Joints that the move makes."""
 
     @property
     def home(self) -> tuple[tuple[int, int], ...]:
@@ -187,14 +217,27 @@ class Clutch:
                 self._sum[n] += self._load(n, own) / MEAN
             if not last:
                 continue
-            judged = n not in self._off and self.data.eq_active[self._slot[n]]
-            if judged and not holds(self.joints[n], self._sum[n][:3], self._sum[n][3:]):
-                self._open(n)
+            if n not in self._off and self.data.eq_active[self._slot[n]]:
+                self._judge(n)
             self._sum[n][:] = 0.0
         if self._steps == self._calm + AWAKE:
             self._wake(0.0)
 
     # ------------------------------------------------------------ one joint
+
+    def _judge(self, n: int) -> None:
+        """A joint that bears more than it can gives until it bears what it can; others take over
+        what they can. One that gives again and again opens."""
+        share = borne(self.joints[n], self._sum[n][:3], self._sum[n][3:])
+        self._given[n] = self._given[n] + 1 if share < 1 else 0
+        if self._given[n] > GIVES:
+            self._open(n)
+        elif share < 1:
+            slip = self._slip.get(n, np.zeros(6))
+            self._slip[n] = slip + (1 - share) * (self._misplaced(n) - slip)
+            self._weld(n)
+            self._calm = self._steps
+            self._wake(NUDGE)
 
     def _take(self, n: int) -> None:
         """A joint holds its bricks as they are, and is to draw them to their places."""
@@ -244,7 +287,7 @@ class Clutch:
         at, turn = self._rest(n)
         m.eq_obj1id[slot], m.eq_obj2id[slot] = lower, upper
         values = m.eq_data[slot]
-        off = self._off.get(n, np.zeros(6))
+        off = self._off.get(n, np.zeros(6)) + self._slip.get(n, np.zeros(6))
         values[:3] = self._offset[joint.upper]
         values[3:6] = self._offset[joint.lower] + at + off[:3]
         quaternion = np.empty(4)

@@ -162,7 +162,10 @@ def group(
             )
         else:
             offset[cells] = FINE_GRAIN * np.rint(relative / FINE_GRAIN)
-            shapes.append(tuple(_sized(scene, cells, offset[cells], half[cells])))
+            # What is brought as one may have parts that are turned by quarters.
+            turned = np.abs(np.rint(turn.T @ quaternion_matrix(quaternion[cells])))
+            sizes = (turned @ half[cells, :, None])[..., 0]
+            shapes.append(tuple(_sized(scene, cells, offset[cells], sizes)))
     if scene.half is not None:
         # The order of what waits and what stands changes with every move; that of shapes does not.
         order = sorted(range(len(lead)), key=lambda k: (shapes[k], k))

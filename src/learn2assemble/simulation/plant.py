@@ -14,7 +14,11 @@ import mujoco
 import numpy as np
 
 from learn2assemble.constants import GRAVITY
-from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
+from learn2assemble.geometry.rotations import (
+    matrix_quaternion,
+    quaternion_matrix,
+    quaternion_product,
+)
 from learn2assemble.motion.plant import Guard, Motion, Plant, Readings, Report, Stop, ToolCommand
 from learn2assemble.motion.setup import Setup
 from learn2assemble.registry import Registry
@@ -65,7 +69,10 @@ class DynamicPlant(SimulatedCell):
         self.number: dict[str, int] = {}
         """Of the blocks that are free, the object that each is part of in the simulation."""
         self.offset: dict[str, np.ndarray] = {}
-        """float64[3]: where they are in its frame [m]."""
+        """float64[3]: where they are in its frame [m], ..."""
+        self.turn: dict[str, np.ndarray] = {}
+        """... and float64[4], how they are turned there: what is brought as one may be turned by
+        quarters."""
         self.kinds = {name: number for number, name in enumerate(setup.kinds)}
         self.pairs: dict[tuple[int, int], tuple[int, int]] = {}
         """By rows of the scene, the kinds that each joint of studs joins."""
@@ -102,7 +109,8 @@ class DynamicPlant(SimulatedCell):
         report = self.bench.execute(motion, commands, guards)
         self._take_poses()
         self._note_home()
-        if self.joined and not self.bench.holding and motion.stage == "release":
+        # The hand that let go may brush all that it brought on its way up.
+        if self.joined and not self.bench.holding and motion.stage in ("retreat", "home"):
             self.joined.clear()
             self._enter(set(self.number))
         if report.stop == Stop.HELD:
@@ -110,6 +118,8 @@ class DynamicPlant(SimulatedCell):
             held = self._held()
             if held is not None:
                 self.things[held].handled = True
+                if self.bench.sim.clutch is not None:
+                    self.bench.sim.clutch.aim(self.number[held])
         if report.stop == Stop.CONTACT:
             self.hardest = max(self.hardest, self.bench.hardest, abs(report.tool.force[2]))
         if self.push_due and motion.stage == "home" and np.ptp(motion.joints, axis=0).any():
@@ -143,7 +153,8 @@ class DynamicPlant(SimulatedCell):
                 place, turn = poses[number, :3], poses[number, 3:]
                 turn = turn / np.linalg.norm(turn)
                 where = place + quaternion_matrix(turn) @ self.offset[name]
-                self.things[name].pose = np.array([*where, *turn])
+                turned = quaternion_product(turn, self.turn[name])
+                self.things[name].pose = np.array([*where, *turned])
 
     def _make_room(self, motion: Motion) -> None:
         """Free what a motion may touch."""
@@ -225,10 +236,16 @@ class DynamicPlant(SimulatedCell):
         objects = group(scene, scene.orientation, mask)
         of_row = {int(row): name for name, cells in rows.items() for row in cells}
         self.number = {name: int(objects.owner[rows[name][0]]) for name in sorted(free)}
-        self.offset = {}
-        for name in self.number:
+        self.offset, self.turn = {}, {}
+        for name, number in self.number.items():
             centre = np.array(self.things[name].kind.shape[0].centre)
-            self.offset[name] = objects.offset[rows[name][0]] - centre
+            row, lead = rows[name][0], objects.lead[number]
+            turn = np.array([1.0, 0.0, 0.0, 0.0])
+            if row != lead:
+                back = scene.orientation[lead] * (1.0, -1.0, -1.0, -1.0)
+                turn = quaternion_product(back, scene.orientation[row])
+            self.offset[name] = objects.offset[row] - quaternion_matrix(turn) @ centre
+            self.turn[name] = turn
         leads = [of_row[row] for row in objects.lead.tolist()]
         still = [of_row.get(row, OBSTACLE) for row in np.flatnonzero(~mask).tolist()]
         poses = np.hstack([scene.position[objects.lead], scene.orientation[objects.lead]])

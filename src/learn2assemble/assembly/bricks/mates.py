@@ -1,0 +1,121 @@
+"""What is pressed on what among bricks that clutch, and what hangs together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.bricks.lattice import GROUND, StudLattice
+from learn2assemble.errors import InputError
+
+
+class Knobs(NamedTuple):
+    """A joint of two bricks."""
+
+    count: int
+    middle: tuple[float, float]
+    """Of its knobs in the structure [m]."""
+
+
+class Press(NamedTuple):
+    """Where bricks are pressed home."""
+
+    brick: int
+    """The one of them with most knobs."""
+    knobs: int
+    """Of all of them; 0: they meet none."""
+    at: tuple[float, float]
+    """The middle of these knobs, x and y; without knobs the middle of the brick [m]."""
+
+
+class BrickMates:
+    """The joints of bricks on a lattice of studs.
+
+    Args:
+        assembly: whose joints clutch; steps are not looked at.
+
+    Raises:
+        InputError: for joints of several laws, and for blocks that are no bricks on one lattice.
+    """
+
+    def __init__(self, assembly: Assembly) -> None:
+        joint, blocks = assembly.joint, assembly.blocks
+        if joint.law != "clutch" or assembly.joints:
+            raise InputError("joints", "several laws", "one clutch for all bricks")
+        self.count = count = len(blocks)
+        self.fixed = np.array([block.support for block in blocks])
+        self.lattice = lattice = StudLattice(blocks, joint.pitch)
+        self.lower: list[list[int]] = [[] for _ in range(count)]
+        """Of each brick those it is pressed on, GROUND among them."""
+        self.upper: list[list[int]] = [[] for _ in range(count)]
+        self.knobs: dict[tuple[int, int], Knobs] = {}
+        """By lower and upper brick."""
+        clutches = lattice.clutches(ground=not self.fixed.any())
+        middle = (clutches.first + clutches.last) / 2 * joint.pitch[0] + lattice.offset[:2]
+        many = (clutches.last - clutches.first).prod(1)
+        ends = zip(clutches.lower.tolist(), clutches.upper.tolist(), strict=True)
+        for (a, b), n, (x, y) in zip(ends, many.tolist(), middle.tolist(), strict=True):
+            self.knobs[a, b] = Knobs(n, (x, y))
+            self.lower[b].append(a)
+            if a != GROUND:
+                self.upper[a].append(b)
+        self._pairs = np.where(clutches.lower == GROUND, count, clutches.lower), clutches.upper
+        self.based = np.array([GROUND in lower for lower in self.lower])
+        low, high = lattice.low, lattice.high
+        meet = (low[:, None, :2] < high[None, :, :2]).all(2)
+        meet &= (high[:, None, :2] > low[None, :, :2]).all(2)
+        over = meet & (low[None, :, 2] >= high[:, None, 2])
+        self.over = [np.flatnonzero(row) for row in over]
+        """Of each brick those that are above it, wherever; and those below."""
+        self.under = [np.flatnonzero(row) for row in over.T]
+        self._centre = np.array([block.centroid[:2] for block in blocks])
+
+    def loose(self, present: np.ndarray, held: np.ndarray | None = None) -> np.ndarray:
+        """int64[n]: bricks that hang on nothing that stands.
+
+        Args:
+            present: bool[B], bricks that are there.
+            held: bool[B], those that hands hold.
+        """
+        a, b = self._pairs
+        on = present[b] & ((a == self.count) | present[np.minimum(a, self.count - 1)])
+        still = present & (self.fixed if held is None else self.fixed | held)
+        first = np.concatenate([a[on], np.full(still.sum(), self.count)])
+        last = np.concatenate([b[on], np.flatnonzero(still)])
+        size = self.count + 1
+        graph = sp.coo_matrix((np.ones(len(first)), (first, last)), (size, size))
+        piece = connected_components(graph, directed=False)[1]
+        return np.flatnonzero(present & (piece[:-1] != piece[-1]))
+
+    def meets(self, brick: int, present: np.ndarray, below: bool = False) -> list[int]:
+        """What is there of what a brick is pressed on, or from below on its own knobs."""
+        others = self.upper[brick] if below else self.lower[brick]
+        return [m for m in others if m == GROUND or present[m]]
+
+    def press(self, group: Iterable[int], present: np.ndarray, below: bool = False) -> Press:
+        """Where some bricks that come to what is there are pressed home: over the middle of the
+        knobs they meet. Whoever presses chooses where, and does not tilt the brick."""
+        most, chosen, total, where = -1, -1, 0, np.zeros(2)
+        for b in group:
+            own = 0
+            for other in self.meets(b, present, below):
+                one = self.knobs[(b, other) if below else (other, b)]
+                own, where = own + one.count, where + one.count * np.array(one.middle)
+            total += own
+            if own > most:
+                most, chosen = own, b
+        return Press(chosen, total, _rounded(where / total) if total else self.middle(chosen))
+
+    def middle(self, brick: int) -> tuple[float, float]:
+        """Of a brick, x and y [m]."""
+        return _rounded(self._centre[brick])
+
+
+def _rounded(at: np.ndarray) -> tuple[float, float]:
+    x, y = (round(v, 9) for v in at.tolist())
+    return x, y
