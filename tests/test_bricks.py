@@ -157,6 +157,22 @@ def test_a_kit_says_how_dry_blocks_hold() -> None:
     assert read_assembly(wall, kit="duplo").joint.law == "clutch"
 
 
+def test_a_file_of_large_parts_needs_no_name_of_their_kit(tmp_path: Path) -> None:
+    file = Path(__file__).parents[1] / "examples" / "bricks" / "tower.ldr"
+    told, found = read_assembly(file, kit="duplo"), read_assembly(file)
+    assert len(found.blocks) == 60
+    assert all(
+        np.array_equal(a.vertices, b.vertices)
+        for a, b in zip(told.blocks, found.blocks, strict=True)
+    )
+    with pytest.raises(InputError, match="kit lego"):
+        read_assembly(file, kit="lego")
+    # Small and large ones in one file fit neither.
+    mixed = file.read_text(encoding="utf-8") + "1 4 80 -72 -40 1 0 0 0 1 0 0 0 1 3005.dat\n"
+    with pytest.raises(InputError, match="mixed.ldr: line"):
+        read_assembly(write(tmp_path, "mixed.ldr", mixed))
+
+
 def test_kinds_of_files_are_found_by_content() -> None:
     assert brick_format(TEXT.encode()) == "brick text"
     assert brick_format(MPD.encode()) == "ldraw"
@@ -192,7 +208,7 @@ BAD = {
     "numbers": (line() + "1 4 0 a 0 1 0 0 0 1 0 0 0 1 3001.dat\n", "twelve numbers"),
     "nan": (line() + "1 4 0 nan 0 1 0 0 0 1 0 0 0 1 3001.dat\n", "numbers up to"),
     "short": (line() + "1 4 0 0 0 3001.dat\n", "1 colour x y z"),
-    "large": (line("3437.dat", "0 -48 0"), "kit lego"),
+    "large": (line() + line("3437.dat", "0 -72 0"), "kit lego"),
     "letters": ("2x4 (0,0,0)\n2x4 (a,0,1)\n", "line 2"),
     "brick x": ("2x4 (0,0,0)\naxb (1,2,3)\n", "line 2"),
     "below": ("2x4 (0,0,0)\n2x4 (0,0,-1)\n", "z >= 0"),

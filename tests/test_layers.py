@@ -17,7 +17,15 @@ SOURCE = ROOT / "src" / PACKAGE
 
 _BASE = {"errors", "registry", "values", "files", "constants", "progress"}
 _ARM = _BASE | {"geometry", "robot", "motion"}
-_PRODUCT = _ARM | {"linear_programs", "assembly", "design", "statics", "planning", "simulation"}
+_PRODUCT = _ARM | {
+    "blas",
+    "linear_programs",
+    "assembly",
+    "design",
+    "statics",
+    "planning",
+    "simulation",
+}
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
     "constants": set(),
@@ -27,10 +35,11 @@ ALLOWED: dict[str, set[str]] = {
     "files": {"errors", "values"},
     "workers": {"errors"},
     "linear_programs": {"errors", "progress"},
+    "blas": set(),
     "geometry": set(),
     "assembly": _BASE | {"geometry"},
     "design": _BASE | {"geometry", "assembly"},
-    "statics": _BASE | {"geometry", "linear_programs", "assembly"},
+    "statics": _BASE | {"blas", "geometry", "linear_programs", "assembly"},
     "robot": _BASE | {"geometry"},
     "motion": _BASE | {"geometry", "robot"},
     "simulation": _ARM,

@@ -33,6 +33,8 @@ import scipy.sparse as sp
 from numba import njit
 from scipy.sparse.linalg import splu
 
+from learn2assemble.blas import by_one_thread
+
 _SPRING = 1e-10
 """Of the ground spring that keeps every block somewhere; what it bears is far below rounding."""
 _FAR = 1e6
@@ -88,6 +90,7 @@ class Joined:
         self._slope = np.zeros((2, self.corners, 3, 3))
         self._left = np.empty((2, self.count, 6))
 
+    @by_one_thread
     def coupled(
         self,
         load: np.ndarray,
@@ -114,6 +117,7 @@ class Joined:
                 return True, found
         return False, found
 
+    @by_one_thread
     def coupled_by_rounds(
         self,
         load: np.ndarray,
@@ -140,6 +144,7 @@ class Joined:
             balances, found = self.nearest(load, friction, near, balanced, found.motion)
         return False, found
 
+    @by_one_thread
     def nearest(
         self,
         load: np.ndarray,

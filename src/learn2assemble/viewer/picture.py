@@ -31,9 +31,12 @@ _FOCAL = 2.2
 """Focal length in picture widths."""
 
 
-def write_progress(plan: Plan, path: Path) -> None:
-    """Write a PNG of the structure after up to six of its steps, the last one among them; of a plan
+def write_progress(plan: Plan, path: Path, moments: int = MOMENTS) -> None:
+    """Write a PNG of the structure after some of its steps, the last one among them; of a plan
     without steps all blocks are shown once.
+
+    Args:
+        moments: how often it is shown at most; once: what stands in the end.
 
     Raises:
         InputError: for a plan whose blocks are not known, and where the file cannot be written.
@@ -44,10 +47,10 @@ def write_progress(plan: Plan, path: Path) -> None:
     if assembly is None:
         raise InputError("plan", "no blocks", "assembly.json beside plan.json")
     steps = len(assembly.steps)
-    moments = np.unique(np.rint(np.linspace(0, steps, MOMENTS + 1))[1:].astype(int))
-    moments = moments[moments > 0] if steps else np.zeros(1, int)
-    columns = min(COLUMNS, len(moments))
-    rows = -(-len(moments) // columns)
+    after = np.unique(np.rint(np.linspace(0, steps, moments + 1))[1:].astype(int))
+    after = after[after > 0] if steps else np.zeros(1, int)
+    columns = min(COLUMNS, len(after))
+    rows = -(-len(after) // columns)
     sheet = Image.new("RGB", (columns * WIDTH, rows * HEIGHT), _SKY)
     font = ImageFont.load_default(18)
     targets = [np.array(target.outline) for target in plan.design.targets]
@@ -63,7 +66,7 @@ def write_progress(plan: Plan, path: Path) -> None:
         _camera(low, high),
         renderer.sunlight(_SUN, points, 0.1 * float((high - low).max())),
     )
-    for number, step in enumerate(moments.tolist()):
+    for number, step in enumerate(after.tolist()):
         shown = np.append(_standing(assembly, step), [True] * 3)
         painted = colour.copy()
         painted[:-3][_held(assembly, step)] = rgb("held")
@@ -78,7 +81,7 @@ def write_progress(plan: Plan, path: Path) -> None:
         )
         corner = (number % columns * WIDTH, number // columns * HEIGHT)
         sheet.paste(Image.fromarray(picture), corner)
-        text = f"after step {step} of {steps}" if steps else assembly.name
+        text = f"after step {step} of {steps}" if steps and moments > 1 else assembly.name
         if targets and step:
             text += f": {percent(plan.steps[step - 1].coverage)} covered".replace("\u00a0", " ")
         at = (corner[0] + 14, corner[1] + 12)

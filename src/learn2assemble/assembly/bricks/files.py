@@ -13,7 +13,7 @@ from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.errors import InputError
 from learn2assemble.files import decoded
 
-DEFAULT_KIT = "lego"
+DEFAULT_KIT, LARGE_KIT = "lego", "duplo"
 BrickFormat = Literal["ldraw", "brick text"]
 
 
@@ -43,21 +43,31 @@ def read_bricks(content: bytes, source: str, name: str, kit: str | Kit | None) -
         content: of the file, of which :func:`brick_format` knows the kind.
         source: what messages call it.
         name: of the model, where the file has none.
-        kit: whose blocks they are; by default ``lego``.
+        kit: whose blocks they are; by default ``lego``, and ``duplo`` where all parts of an LDraw
+            file are large ones.
 
     Raises:
         InputError: for what is wrong, in one line.
     """
-    blocks = _kit(kit)
     if content.count(b"\n") > ldraw.MAX_LINES:
         got = f"{content.count(bytes([10]))} lines"
         raise InputError(source, got, f"at most {ldraw.MAX_LINES}")
     text = decoded(content, source)
-    if brick_format(content) == "ldraw":
-        model = ldraw.parse_ldraw(text, source, blocks, name)
-    else:
+    blocks = _kit(kit)
+    if brick_format(content) != "ldraw":
         model = brick_text.parse_brick_text(text, source, brick_layers(blocks), name)
-    return assembly_of(model, blocks, source)
+        return assembly_of(model, blocks, source)
+    try:
+        return assembly_of(ldraw.parse_ldraw(text, source, blocks, name), blocks, source)
+    except InputError as error:
+        # A file of parts does not say whose they are, and large ones fit no small kit.
+        if kit is not None:
+            raise
+        blocks = load_kit(LARGE_KIT)
+        try:
+            return assembly_of(ldraw.parse_ldraw(text, source, blocks, name), blocks, source)
+        except InputError:
+            raise error from None
 
 
 def of_stablelego(document: Any, source: str, name: str, kit: str | Kit | None) -> Assembly:
