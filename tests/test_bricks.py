@@ -169,7 +169,7 @@ def test_a_file_of_large_parts_needs_no_name_of_their_kit(tmp_path: Path) -> Non
         read_assembly(file, kit="lego")
     # Small and large ones in one file fit neither.
     mixed = file.read_text(encoding="utf-8") + "1 4 80 -72 -40 1 0 0 0 1 0 0 0 1 3005.dat\n"
-    with pytest.raises(InputError, match="mixed.ldr: line"):
+    with pytest.raises(InputError, match=r"mixed\.ldr: line"):
         read_assembly(write(tmp_path, "mixed.ldr", mixed))
 
 

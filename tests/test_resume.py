@@ -376,16 +376,21 @@ def test_a_resumed_run_has_its_own_seed(tmp_path: Path) -> None:
 def test_a_run_records_the_commit_of_its_own_checkout(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Installed below another repository, the package records its version."""
+    """Installed below another repository, the package records its version and its code."""
     git = ["git", "-c", "user.name=a", "-c", "user.email=a@b.c"]
     subprocess.run([*git, "init", "-q"], cwd=tmp_path, check=True)
     subprocess.run([*git, "commit", "-q", "--allow-empty", "-m", "x"], cwd=tmp_path, check=True)
-    here = tmp_path / "installed" / "run.py"
-    here.parent.mkdir()
+    here = tmp_path / "src" / "a" / "b" / "run.py"
+    here.parent.mkdir(parents=True)
     here.touch()
     monkeypatch.setattr(run_module, "__file__", str(here))
-    assert run_module.provenance("cpu")["commit"] == f"version {version('learn2assemble')}"
-    subprocess.run([*git, "add", "installed/run.py"], cwd=tmp_path, check=True)
+    known = run_module.provenance("cpu")["commit"]
+    assert known.startswith(f"version {version('learn2assemble')}, code ")
+    here.write_text("x = 1\n", encoding="utf-8")
+    assert run_module.provenance("cpu")["commit"] != known
+    subprocess.run([*git, "add", "src"], cwd=tmp_path, check=True)
+    assert run_module.provenance("cpu")["commit"].endswith(" and changes")
+    subprocess.run([*git, "commit", "-q", "-m", "y"], cwd=tmp_path, check=True)
     head = subprocess.run(
         [*git, "rev-parse", "HEAD"], cwd=tmp_path, check=True, capture_output=True, text=True
     )

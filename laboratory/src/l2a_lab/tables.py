@@ -34,6 +34,12 @@ BUILDER = "builder"
 """Stems of our own agents, the one that is shipped, and the stem of the builder of designs."""
 _LEARNERS = {"DQN": ("dqn", "dqn-mcts"), "ε-MCTS": ("eps-mcts",) * 2, "Q-MCTS": ("q-mcts",) * 2}
 """Learner -> stem of its agents and its search."""
+OUR_SCHEDULE, PAPER_SCHEDULE = "our schedule", "paper's schedule"
+_SCHEDULES = (
+    "Our schedule: the published networks and learners with double Q, mirrored replay, scaled "
+    "positions, twenty times the rate and a fifth to half of the samples (deviation D8); paper's "
+    "schedule: as published.",
+)
 
 
 def _budget(budget: int, rollout: int = 1, learners: Iterable[str] = _LEARNERS) -> tuple[Row, ...]:
@@ -45,18 +51,21 @@ def _budget(budget: int, rollout: int = 1, learners: Iterable[str] = _LEARNERS) 
         name = f"{learner}+MCTS" if learner == "DQN" and budget else learner
         more = f", budget {budget}{'' if rollout == 1 else ', to the end'}" if budget else ""
         paper = {"method": name.replace("ε", "eps"), "search_budget": str(budget), "rollout": depth}
-        rows.append(
-            Row(name + more, agents, search if budget else "", budget, rollout, paper=paper)
-        )
+        label = f"{name}{more}, {OUR_SCHEDULE}"
+        rows.append(Row(label, agents, search if budget else "", budget, rollout, paper=paper))
     return tuple(rows)
 
 
-def _played(agents: str) -> tuple[Row, ...]:
-    """Published agents without search and with."""
+def _played(agents: str, schedule: str) -> tuple[Row, ...]:
+    """Published agents without search and with.
+
+    Args:
+        schedule: on which they were trained.
+    """
     return (
-        Row("DQN", agents, paper={"method": "DQN", "search_budget": "0"}),
+        Row(f"DQN, {schedule}", agents, paper={"method": "DQN", "search_budget": "0"}),
         Row(
-            "DQN+MCTS, budget 10",
+            f"DQN+MCTS, budget 10, {schedule}",
             agents,
             "dqn-mcts",
             10,
@@ -109,8 +118,19 @@ _PARTS = (
 """Rows of the ablation: label, stem of the agents, help."""
 
 
-def _robot_rows(agents: str, own: str) -> tuple[Row, ...]:
-    return (*_played(agents), *_own(own)[:2], _LOOK_AHEAD)
+def _robot_rows(agents: str, own: str, paper: str = "") -> tuple[Row, ...]:
+    """With a robot.
+
+    Args:
+        agents: published ones on our schedule.
+        own: ours.
+        paper: published ones on the paper's schedule, where there are some; these then stand for
+            the published numbers.
+    """
+    fast = _played(agents, OUR_SCHEDULE)
+    slow = _played(paper, PAPER_SCHEDULE) if paper else ()
+    fast = tuple(replace(row, paper={}) for row in fast) if paper else fast
+    return (*slow, *fast, *_own(own)[:2], _LOOK_AHEAD)
 
 
 # ---------------------------------------------------------------- columns
@@ -183,7 +203,7 @@ FIDELITIES = (
 simulates arm, grasp and blocks."""
 _NO_ROBOT = {"source_table": "main_T5", "experiment": "multi_object_no_robot"}
 _ROBOT_OBJECTS = {"source_table": "main_T5", "experiment": "multi_object_robot"}
-_TWO_ROWS = _robot_rows("robot-two-sided", "relational-two-sided")
+_TWO_ROWS = _robot_rows("robot-two-sided", "relational-two-sided", "robot-two-sided-paper")
 _OBJECT_ROWS = _robot_rows("robot-objects", "relational-robot-objects")
 _TRANSFER = "robot-two-sided-3x3-10-14"
 
@@ -194,7 +214,7 @@ _ALL = (
         _T1_COLUMNS,
         (_MHA, _S2V, *_own(OWN_CUBES), _LOOK_AHEAD),
         {"source_table": "main_T1"},
-        notes=_TRAINED,
+        notes=(*_TRAINED, *_SCHEDULES),
     ),
     Table(
         "A2",
@@ -202,7 +222,7 @@ _ALL = (
         _T1_COLUMNS,
         (_MHA, _SHA, _S2V, *_own(OWN_CUBES), _LOOK_AHEAD),
         {"source_table": "app_T2"},
-        notes=_TRAINED,
+        notes=(*_TRAINED, *_SCHEDULES),
     ),
     Table(
         "T2",
@@ -210,7 +230,7 @@ _ALL = (
         _T2_COLUMNS,
         (*_budget(0), *_budget(10), _UCT, _RANDOM, *_own(OWN_CUBES), _LOOK_AHEAD),
         {"source_table": "main_T2"},
-        notes=(*_TRAINED, *_CHANCE),
+        notes=(*_TRAINED, *_CHANCE, *_SCHEDULES),
     ),
     Table(
         "A4",
@@ -227,7 +247,7 @@ _ALL = (
             _LOOK_AHEAD,
         ),
         {"source_table": "app_T4"},
-        notes=(*_TRAINED, *_CHANCE),
+        notes=(*_TRAINED, *_CHANCE, *_SCHEDULES),
     ),
     Table(
         "A3",
@@ -247,7 +267,7 @@ _ALL = (
         "T5",
         "Several objects (main Table 5, row without robot)",
         _columns("objects-two-sided", *_OBJECT_SIZES),
-        (_played("objects")[1], *_own(OWN_OBJECTS), _LOOK_AHEAD),
+        (_played("objects", OUR_SCHEDULE)[1], *_own(OWN_OBJECTS), _LOOK_AHEAD),
         _NO_ROBOT,
         other_discount=0.8,
     ),
@@ -255,7 +275,7 @@ _ALL = (
         "A6",
         "Several objects (appendix Table 6, rows without robot)",
         _columns("objects-two-sided", *_OBJECT_SIZES),
-        (*_played("objects"), *_own(OWN_OBJECTS), _BUILDER, _LOOK_AHEAD),
+        (*_played("objects", OUR_SCHEDULE), *_own(OWN_OBJECTS), _BUILDER, _LOOK_AHEAD),
         {**_NO_ROBOT, "source_table": "app_T6"},
         other_discount=0.8,
     ),
@@ -324,7 +344,7 @@ _ALL = (
         ),
         {"source_table": "main_T2"},
         (Condition(0.05), Condition(0.0), Condition(0.05, "rigid")),
-        notes=_READINGS,
+        notes=(*_READINGS, *_SCHEDULES),
     ),
     Table(
         "T3",
@@ -333,7 +353,7 @@ _ALL = (
         _robot_rows("robot-four-sided", "relational-four-sided"),
         {"source_table": "main_T3"},
         FIDELITIES,
-        notes=_SEARCHES,
+        notes=(*_SEARCHES, *_SCHEDULES),
     ),
     Table(
         "T4",
@@ -342,7 +362,7 @@ _ALL = (
         _TWO_ROWS,
         {"source_table": "main_T4", "experiment": "robot_2_sided"},
         FIDELITIES,
-        notes=_SEARCHES,
+        notes=(*_SEARCHES, *_SCHEDULES),
     ),
     Table(
         "T4-random",
@@ -351,7 +371,7 @@ _ALL = (
         _TWO_ROWS,
         {"source_table": "main_T4", "experiment": "robot_2_sided_random_layout"},
         FIDELITIES,
-        notes=(*_SEARCHES, "The agents were trained with blocks waiting in rows."),
+        notes=(*_SEARCHES, *_SCHEDULES, "The agents were trained with blocks waiting in rows."),
     ),
     Table(
         "transfer",
@@ -361,7 +381,9 @@ _ALL = (
             for task in (_TRANSFER, "robot-two-sided-5x5-14-18")
             for arm in ("", "ur5e")
         ),
-        tuple(replace(row, paper={}) for row in _TWO_ROWS),
+        tuple(
+            replace(row, paper={}) for row in _robot_rows("robot-two-sided", "relational-two-sided")
+        ),
         conditions=FIDELITIES[1:],
         notes=(
             *_SEARCHES,
@@ -391,7 +413,7 @@ _ALL = (
         _ROBOT_OBJECTS,
         FIDELITIES,
         other_discount=0.8,
-        notes=_SEARCHES,
+        notes=(*_SEARCHES, *_SCHEDULES),
     ),
     Table(
         "A6-robot",
@@ -401,7 +423,7 @@ _ALL = (
         {**_ROBOT_OBJECTS, "source_table": "app_T6"},
         FIDELITIES,
         other_discount=0.8,
-        notes=_SEARCHES,
+        notes=(*_SEARCHES, *_SCHEDULES),
     ),
 )
 

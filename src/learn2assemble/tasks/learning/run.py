@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import hashlib
 import importlib.metadata
 import importlib.util
 import json
@@ -74,7 +75,8 @@ def choose_device(name: str) -> str:
 
 
 def _commit() -> str:
-    """Commit of the checkout that holds this package; its version where none tracks it."""
+    """Commit of the checkout that holds this package, and whether its code was changed since; where
+    none tracks it, version and fingerprint of the code."""
     here = Path(__file__)
     # Variables of git that a hook sets would point to another repository.
     env = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
@@ -89,13 +91,26 @@ def _commit() -> str:
     )
     try:
         git(["git", "ls-files", "--error-unmatch", here.name])
-        return git(["git", "rev-parse", "--short", "HEAD"]).stdout.strip()
+        commit = git(["git", "rev-parse", "--short", "HEAD"]).stdout.strip()
+        changed = git(["git", "diff", "--name-only", "HEAD", "--", ":/src", ":/laboratory/src"])
+        return commit + (" and changes" if changed.stdout.strip() else "")
     except (OSError, subprocess.SubprocessError):
-        pass
+        return f"version {_version()}, code {_fingerprint(here.parents[2])}"
+
+
+def _version() -> str:
     try:
-        return f"version {importlib.metadata.version('learn2assemble')}"
+        return importlib.metadata.version("learn2assemble")
     except importlib.metadata.PackageNotFoundError:
         return "unknown"
+
+
+def _fingerprint(package: Path) -> str:
+    """Twelve digits that change with any module of a package."""
+    digest = hashlib.sha256()
+    for file in sorted(package.rglob("*.py")):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:12]
 
 
 def provenance(device: str) -> dict[str, Any]:
