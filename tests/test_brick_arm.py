@@ -13,10 +13,14 @@ from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
 from learn2assemble.assembly.joints import Joint
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.bricks import BrickStates
+from learn2assemble.cell.workcell import ROOMS
 from learn2assemble.errors import InputError
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
+from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.holding import LEAST_GRIP, PAD, STUD_ROOM, holds_of
+from learn2assemble.robot.kinematic import KinematicCell
+from learn2assemble.robot.moves import Move, Scene
 
 DUPLO = load_kit("duplo")
 
@@ -101,6 +105,31 @@ def test_fingers_hold_bricks_above_the_studs_beside_them() -> None:
             assert tip >= -half[2] + STUD_ROOM - 1e-9
             assert tip <= half[2] - LEAST_GRIP + 1e-9
         assert found[0].point[:2] == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.6])
+def test_a_hand_that_turns_about_its_axis_holds_where_it_did(tilt: float) -> None:
+    hand = Attitude(yaw=0.4, tilt=tilt, depth=0.003, aside=(0.0085, 0.002, 0.0))
+    turned = hand.spun(np.pi)
+    assert turned.rotation()[:, 0] == pytest.approx(-hand.rotation()[:, 0])
+    assert turned.tool_point(np.zeros(3)) == pytest.approx(hand.tool_point(np.zeros(3)))
+
+
+def test_a_hand_may_have_to_keep_away_from_others() -> None:
+    """Beside a brick that stands in line, fingers that reach past the edge just fit."""
+    cell, half = KinematicCell(get_arm("panda", "gripper", (-0.5, 0, 0, 0))), (0.016, 0.016, 0.0096)
+    narrower = 0.0155, 0.016, 0.0096
+    centres = np.array([[0.0, 0.032, 0.0096], [0.0, -0.2, 0.0096]])
+    level = np.tile([1.0, 0, 0, 0], (2, 1))
+    halves, density = np.array([narrower, half]), np.full(2, 500.0)
+    scene = Scene(centres, np.zeros(2), np.arange(2), 1, halves, density, level)
+    hand = Attitude(yaw=np.pi / 2, depth=0.003, aside=(0.0085, 0.0, 0.0))
+    assert hand.tool_point(np.zeros(3))[1] == pytest.approx(0.0085)
+    reached = {}
+    for cell.apart in (0.0, *ROOMS):
+        found = cell.attempt(scene, Move(1, np.array([0.0, 0.0, 0.0096]), hand, hand))
+        reached[cell.apart] = found.reached
+    assert reached == {ROOMS[0]: False, 0.0: True}
 
 
 def test_what_an_arm_cannot_press_is_refused() -> None:

@@ -22,6 +22,7 @@ from learn2assemble.cell.workcell import (
     LOST,
     MISSING,
     RETURNED,
+    ROOMS,
     STANDING,
     STOCK,
     TRIES,
@@ -288,19 +289,24 @@ class Building:
     def _way(self, action: Action, skip: int) -> tuple[Move | None, str, Rows]:
         """The first way the kinematic cell allows, after as many as have failed in reality."""
         k, goal = action.block, action.goal
-        rows, why, first = rows_of(self.world, self.world.pose, k, action.group), "", None
+        rows, why = rows_of(self.world, self.world.pose, k, action.group), ""
         into: tuple[Direction, ...] = (DOWN,)
         if action.what in ("place", "again"):
             into = self.known.structure.ways_in(k, self.known.standing() - {k})
         press = self._press(action) if action.what in PLACING else None
-        for move in moves(self.world, rows, k, goal, into, press):
-            found = self.kinematic.attempt(rows.scene, move)
-            if found.reached:
-                first = first or move
-                if not skip:
-                    return move, "", rows
-                skip -= 1
-            why = why or named(describe(found), rows, self.world)
+        reached: list[Move] = []
+        ways = [*moves(self.world, rows, k, goal, into, press)]
+        for room in (0.0,) if press is None else ROOMS:
+            self.kinematic.apart = room
+            for move in ways:
+                found = self.kinematic.attempt(rows.scene, move)
+                if found.reached and not any(move is one for one in reached):
+                    reached.append(move)
+                    if len(reached) > skip:
+                        return move, "", rows
+                elif not found.reached:
+                    why = why or named(describe(found), rows, self.world)
+        first = reached[0] if reached else None
         return first, why or "the tool cannot hold it", rows
 
     def _press(self, action: Action) -> tuple[float, float] | None:

@@ -19,6 +19,7 @@ import numpy as np
 from learn2assemble.assembly.bricks.lattice import GROUND
 from learn2assemble.cell.bricks import BrickStates, BrickStructure
 from learn2assemble.cell.workcell import (
+    ROOMS,
     STANDING,
     Arranged,
     Job,
@@ -74,11 +75,14 @@ def arrange_bricks(
     progress: Progress = lambda text: None,
 ) -> Arranged:
     """The first order in which the arm presses everything home; else why there is none."""
-    search = _Disassembly(job, structure, cell, progress)
     every = tuple(range(len(job.pieces)))
     part = _Subassembly(every, structure.states, {k: k for k in every})
-    steps = search.take_apart(part)
-    if steps is None:
+    for cell.apart in ROOMS:
+        search = _Disassembly(job, structure, cell, progress)
+        steps = search.take_apart(part)
+        if steps is not None:
+            break
+    else:
         told = sorted(search.stuck, key=lambda k: k not in search.why)
         stuck = {k: search.why.get(k, "what stands before it falls") for k in told}
         return Arranged((), stuck or dict.fromkeys(every, "it falls"))

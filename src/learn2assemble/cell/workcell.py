@@ -64,6 +64,8 @@ TRIES = 3
 """Attempts at one step before others come first."""
 
 
+ROOMS = 0.0015, 0.0
+"""Room for the hand beside others where it presses, if there is so much; else none [m]."""
 Offset = tuple[float, float, float]
 """[m]"""
 

@@ -104,10 +104,13 @@ class Attitude(NamedTuple):
         return np.array([0.0, 0.0, -1.0]) if self.sideways else self.approach()
 
     def spun(self, angle: float) -> Attitude:
-        """The hand turned about its own axis [rad], counted as a yaw where it points down."""
-        if self.tilt:
-            return self._replace(spin=self.spin - angle)
-        return self._replace(yaw=self.yaw + angle)
+        """The hand turned about its own axis [rad], counted as a yaw where it points down; it holds
+        where it did."""
+        (x, y, z), c, s = self.aside, math.cos(angle), math.sin(angle)
+        held = self._replace(aside=(c * x - s * y, s * x + c * y, z)) if x or y else self
+        if held.tilt:
+            return held._replace(spin=held.spin - angle)
+        return held._replace(yaw=held.yaw + angle)
 
     def tool_point(self, centre: np.ndarray) -> np.ndarray:
         """float64[3]: where the tool point is when the hand holds a cell with this centre [m]."""

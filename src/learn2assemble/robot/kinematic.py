@@ -130,9 +130,16 @@ class BlockChecker(CollisionChecker):
             fillers_in_hand = [m.body(f"carried f{k}").id for k in range(most)]
             self._carried_fillers = np.array(fillers_in_hand)
         self._names = [m.body(k).name for k in range(m.nbody)]
+        hand = arm.gripper.hand, *arm.gripper.fingers
+        self._hand_bodies = np.array([name in hand for name in self._names])
         self._pairs = np.empty((0, 2), np.int64)
         site = m.site(arm.tool)
         self._tool_position, self._tool_rotation = site.pos.copy(), rotation_matrix(site.quat)
+
+    def keep(self, apart: float) -> None:
+        """From now on the hand has to be so far from everything [m]."""
+        m, hand = self.model, self._hand_bodies
+        m.body_margin[hand] = m.geom_margin[hand[m.geom_bodyid]] = apart
 
     def place(self, scene: Scene) -> None:
         """Put the blocks where the cells of ``scene`` are."""
@@ -297,6 +304,8 @@ class KinematicCell:
         self.approaches = ApproachCache(arm)
         self.collisions = self._cubes = BlockChecker(arm, num_cells)
         self._boxes: BlockChecker | None = None
+        self.apart = 0.0
+        """How far the hand has to be from everything [m]."""
 
     def attempt(self, scene: Scene, move: Move) -> Attempt:
         """Outcome of a move; the scene is left alone."""
@@ -331,6 +340,7 @@ class KinematicCell:
             most = max(MAX_SIZED, largest)
             hulls = hulls if known is None else hulls | known.hulls
             known = self._boxes = BlockChecker(self.arm, room, True, most, hulls)
+        known.keep(self.apart)
         return known
 
     def pick(self, scene: Scene, move: Move) -> Attempt:
