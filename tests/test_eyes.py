@@ -183,6 +183,8 @@ def test_a_plant_seen_through_cameras() -> None:
     assert bench.looks == 1
     where = lying(0.1, -0.05, 0.0)
     checked.request(Request("present", "b2", "b", where))
+    assert {one.block for one in checked.sense().blocks} == {"a"}
+    checked.execute(standing("home", bench.joints, 0.2))
     seen = {one.block: one.pose for one in checked.sense().blocks}
     assert np.linalg.norm(seen["b2"][:3] - bench.blocks["b2"][:3]) < 0.001
     # Somebody carries it away, and it is found; then it is gone, and not seen.

@@ -34,7 +34,7 @@ def looked(camera: DepthCamera, solids: list, believed: Believed, seed: int = 0)
 
 def test_a_picture_shows_the_table_and_what_stands_on_it() -> None:
     camera = DepthCamera("above", (0.0, 0.0, 1.0, *looking(np.array([0.0, 0.0, -1.0]))), (80, 60))
-    depth = true_depth(*still_scene([(BRICK, lying(0.0, 0.0, 0.0))]), camera)
+    depth = true_depth([still_scene([(BRICK, lying(0.0, 0.0, 0.0))])], camera)
     assert depth[30, 40] == pytest.approx(0.97, abs=1e-6)
     assert depth[0, 0] == pytest.approx(1.0, abs=1e-6)
     # Straight down, x of the world is to the right and y up.

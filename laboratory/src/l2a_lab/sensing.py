@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -36,6 +36,8 @@ OFF, OFF_TURN = 3e-3, math.radians(1.0)
 """By how much cameras are off before they are calibrated [m], [rad]."""
 PLACED, CLOSE = 4e-4, 3e-3
 """How exactly the arm puts blocks down: standard deviations [m], [rad]."""
+PLACES = ((-0.15, -0.1), (0.15, -0.1), (0.0, 0.12), (-0.15, 0.15), (0.15, 0.15), (0.0, -0.18))
+"""Where the bricks of a calibration are put [m]."""
 BRICK: Shape = (Part((0.0, 0.0, 0.0), (0.04, 0.02, 0.015)),)
 CUBE: Shape = (Part((0.0, 0.0, 0.0), (0.02, 0.02, 0.02)),)
 _CORNERS = np.array([[-4, -2.5, -2], [4, -2.5, -2], [-4, 2.5, -2], [4, 2.5, -2], [-4, -2.5, 2]])
@@ -264,24 +266,39 @@ def _look(count: int, cameras: tuple[DepthCamera, ...]) -> Result:
     }
 
 
-def _calibrated(seed: int, cameras: tuple[DepthCamera, ...]) -> Result:
-    """Cameras that are off, calibrated by the table and six bricks that the arm has put down: how
-    far what they see is from where it is, at nine places on and above the table."""
-    rng = np.random.default_rng(seed)
-    devices, readings = [], []
+def off_cameras(seed: int, cameras: Sequence[DepthCamera]) -> list[SimulatedCamera]:
+    """Cameras that truly are 3 mm and 1 degree from where they are taken to be, somewhere."""
+    rng, devices = np.random.default_rng(seed), []
     for k, one in enumerate(cameras):
         shift, axis = rng.normal(size=3), rng.normal(size=3)
         error = [*(OFF * shift / np.linalg.norm(shift)), *(OFF_TURN * axis / np.linalg.norm(axis))]
         devices.append(SimulatedCamera(one, error, 1000 * seed + k))
+    return devices
+
+
+def calibration(
+    devices: Sequence[SimulatedCamera],
+    cameras: Sequence[DepthCamera],
+    places: Sequence[tuple[float, float]] = PLACES,
+    seed: int = 0,
+) -> tuple[tuple[DepthCamera, ...], int]:
+    """Cameras as calibrated by the empty table and by bricks that the arm has put down, alone; and
+    how many readings there were.
+
+    Args:
+        devices: the cameras as they are.
+        cameras: where they are taken to be.
+        places: of the bricks [m].
+        seed: of how exactly the arm puts them down.
+    """
+    rng, readings = np.random.default_rng([seed, 1]), []
     base = np.array([0.0, -0.5, 0.0, *yaw_quaternion(math.pi / 2)])
     # A camera that is off sees the table lean; that comes first.
     empty = still_scene([])
     for one, device in zip(cameras, devices, strict=True):
         readings += table_sightings(device.look([empty]), one)[::4]
     level = calibrated(base, cameras, readings).cameras
-    for number, (x, y) in enumerate(
-        [(-0.15, -0.1), (0.15, -0.1), (0.0, 0.12), (-0.15, 0.15), (0.15, 0.15), (0.0, -0.18)]
-    ):
+    for number, (x, y) in enumerate(places):
         told = resting(BRICK, x, y, 0.5 * number)
         true = told.copy()
         true[:2] += rng.normal(0, PLACED, 2)
@@ -302,18 +319,31 @@ def _calibrated(seed: int, cameras: tuple[DepthCamera, ...]) -> Result:
                 there = told[:3] + quaternion_matrix(told[3:]) @ arm
                 local = (here - one.position) @ one.turn
                 readings.append(Sighting(one.name, local, there))
-    after = calibrated(base, cameras, readings).cameras
+    return calibrated(base, cameras, readings).cameras, len(readings)
+
+
+def _calibrated(seed: int, cameras: tuple[DepthCamera, ...]) -> Result:
+    """Cameras that are off, calibrated: how far what they see is from where it is, at places on and
+    above the table."""
+    devices = off_cameras(seed, cameras)
+    after, count = calibration(devices, cameras, seed=seed)
+    return {
+        "before_mm": wrong(cameras, devices),
+        "after_mm": wrong(after, devices),
+        "readings": count,
+    }
+
+
+def wrong(told: Sequence[DepthCamera], devices: Sequence[SimulatedCamera]) -> float:
+    """How far from where it is cameras take something at most that is on or above the table
+    [mm]."""
     points = np.array([[x, y, z] for x in (-0.2, 0, 0.2) for y in (-0.2, 0, 0.2) for z in (0, 0.1)])
-
-    def wrong(told: tuple[DepthCamera, ...]) -> float:
-        worst = 0.0
-        for one, device in zip(told, devices, strict=True):
-            local = (points - device.camera.position) @ device.camera.turn
-            here = one.position + local @ one.turn.T
-            worst = max(worst, float(np.linalg.norm(here - points, axis=1).max()))
-        return round(1e3 * worst, 3)
-
-    return {"before_mm": wrong(cameras), "after_mm": wrong(after), "readings": len(readings)}
+    worst = 0.0
+    for one, device in zip(told, devices, strict=True):
+        local = (points - device.camera.position) @ device.camera.turn
+        here = one.position + local @ one.turn.T
+        worst = max(worst, float(np.linalg.norm(here - points, axis=1).max()))
+    return round(1e3 * worst, 3)
 
 
 # ---------------------------------------------------------------- what was asked

@@ -12,6 +12,7 @@ import numpy as np
 
 from learn2assemble.cell.bricks import BrickStructure
 from learn2assemble.cell.building import Building, Kept, Prepared
+from learn2assemble.cell.cameras import through_cameras
 from learn2assemble.cell.reach import cells_of, set_up
 from learn2assemble.cell.report import arm_report, carried_out, words_of
 from learn2assemble.cell.taking_apart import arrange_bricks, plan_in_order
@@ -114,13 +115,15 @@ def carry_out(
         )
     if plan.assembly.holds:
         plan = plan_in_order(plan, order.steps)
-    plant = plant or open_plant("sim://", setup_of(job, workcell, found.structure))
+    setup = setup_of(job, workcell, found.structure)
+    plant = plant or open_plant("sim://", setup)
+    seen = through_cameras(plant, setup, job.pieces, workcell.site.cameras)
     kept = None
-    if hasattr(plant, "state") and hasattr(plant, "restore"):
-        kept = Kept(plant.state, plant.restore)  # pyright: ignore[reportAttributeAccessIssue]
+    if hasattr(seen, "state") and hasattr(seen, "restore"):
+        kept = Kept(seen.state, seen.restore)  # pyright: ignore[reportAttributeAccessIssue]
     words = words_of(job, workcell)
     try:
-        building = Building(found, workcell, plant, words, key_of(plan, workcell), kept)
+        building = Building(found, workcell, seen, words, key_of(plan, workcell), kept)
     except PlantError as error:
         return replace(plan, status="incomplete", reason=str(error), steps=(), coverage=0.0)
     reason = building.run(progress)

@@ -95,7 +95,8 @@ class Sight:
         """Take in what is sensed now; whether it is exact."""
         if self.last > -PICTURE:
             now = self.plant.sense()
-            if now.time - self.last < PICTURE and any(one.covariance.any() for one in now.blocks):
+            exact = now.blocks and not any(one.covariance.any() for one in now.blocks)
+            if now.time - self.last < PICTURE and not exact:
                 self.pause(PICTURE - (now.time - self.last))
         readings = self.plant.sense()
         self.last = readings.time

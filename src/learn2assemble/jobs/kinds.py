@@ -76,6 +76,9 @@ class ArmChoice(NamedTuple):
             site = read_site(Path(site))
         if not isinstance(site, Site):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise InputError("layout", site, "a layout (docs/layouts.md) or its file")
+        if site.cameras and any(self.noise):
+            names = ", ".join(camera.name for camera in site.cameras)
+            raise InputError("noise", self.noise, f"none: blocks are seen by {names}")
         tool = self.tool or (FINGERS if studs else DEFAULT_TOOL)
         if studs and tool != FINGERS:
             raise InputError("tool", tool, f"{FINGERS}: a cup does not hold on studs")

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learn2assemble.cell.building import Building, Kept, Prepared
+from learn2assemble.cell.cameras import no_pictures, through_cameras
 from learn2assemble.cell.carry_out import key_of, prepare, setup_of
 from learn2assemble.cell.report import carried_out, words_of
 from learn2assemble.cell.site import Site, read_site
@@ -203,6 +204,9 @@ def run(
         number, why = next(iter(found.order.stuck.items()))
         raise InputError("plan", f"{job.pieces[number].id}: {why}", "blocks that the arm can place")
     around = around or Surroundings(program=site.program)
+    sees = around.trust_placements or around.look is not None or around.pictures is not None
+    if site.cameras and not sees and isinstance(robot, str) and not robot.startswith(SIMULATION):
+        raise no_pictures(site.cameras)
     setup = setup_of(job, workcell)._replace(around=around)
     progress(f"connecting to {robot}" if isinstance(robot, str) else "connecting")
     nothing = Ran(plan, Stop.END, None, 0, 0.0, Link())
@@ -234,7 +238,10 @@ def _run(
 ) -> Ran:
     """The run with a plant that is there."""
     started, job = time.perf_counter(), found.job
-    seeing = Trusted(plant, setup) if setup.around.trust_placements else plant
+    if setup.around.trust_placements:
+        seeing: Plant = Trusted(plant, setup)
+    else:
+        seeing = through_cameras(plant, setup, job.pieces, workcell.site.cameras)
     timed = _Timed(Guarded(seeing, job.arm, workcell.site.safety, speed))
     _check_robot(timed, setup, bool(workcell.log and workcell.log.exists()))
     save, restore = _of(seeing, "state"), _of(seeing, "restore")

@@ -8,7 +8,7 @@ newtons, kilograms.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -42,6 +42,9 @@ class Surroundings(NamedTuple):
     look: Callable[[], Sequence[BlockReading]] | None = None
     """Cameras or tags: called whenever the plant is asked what it senses; None: no block is ever
     seen."""
+    pictures: Callable[[], Sequence[Any]] | None = None
+    """Takes a depth picture (:class:`~learn2assemble.sensing.camera.DepthPicture`) with each camera
+    of the layout, from which it is told where blocks are; ``look`` comes before it."""
     serve: Callable[[Request], None] | None = None
     """Magazines and people: returns when a request has been met; None: all are met at once, as by
     magazines that are never empty."""
@@ -92,6 +95,9 @@ class Disturbance(NamedTuple):
     """Largest height by which the table is off [m], and largest angle it leans by [rad]."""
     height: float = 0.0
     """Largest amount by which blocks are higher or lower than meant [m]."""
+    cameras: tuple[tuple[float, ...], ...] = ()
+    """By how much each camera of the layout truly is elsewhere, in their order: along the axes of
+    the world [m] and a rotation vector about the camera [rad]; left out: it is where it says."""
 
 
 class Simulated(NamedTuple):

@@ -8,7 +8,7 @@ what the plant behind it senses. A block that no camera shows yields no reading.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from learn2assemble.motion.plant import (
     Guard,
     Motion,
     Plant,
+    PlantError,
     Readings,
     Report,
     Request,
@@ -29,6 +30,7 @@ from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.bodies import Shape, body_of
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.sensing.camera import DepthCamera, DepthPicture, rotation
+from learn2assemble.sensing.pictures import without_arm
 from learn2assemble.sensing.registration import Believed, Look, Seen, register, views_of
 from learn2assemble.sensing.search import find
 
@@ -58,6 +60,7 @@ class SeeingPlant:
         pictures: takes one picture with each.
         sorts: by the names that blocks have in the plan.
         waiting: float64[7] by name: blocks on the table from the beginning, and where.
+        fixed: shapes of what always stands there, and poses float64[7].
     """
 
     def __init__(
@@ -68,27 +71,38 @@ class SeeingPlant:
         pictures: Callable[[], Sequence[DepthPicture]],
         sorts: Mapping[str, Sort],
         waiting: Mapping[str, np.ndarray],
+        fixed: Sequence[tuple[Shape, np.ndarray]] = (),
     ) -> None:
         self.plant, self.cameras, self.pictures = plant, tuple(cameras), pictures
-        self.chain, self.sorts = get_chain(arm), sorts
+        self.arm, self.chain, self.sorts, self.fixed = arm, get_chain(arm), sorts, tuple(fixed)
         self.kind = {name: name for name in waiting}
         """Names in the plan of the blocks that there are."""
         self.expected: dict[str, np.ndarray | None] = {n: p.copy() for n, p in waiting.items()}
         """float64[7]: where each should be; None: that is not known."""
         self.held: tuple[str, np.ndarray, np.ndarray] | None = None
         """The block in the hand, its position and rotation in the tool frame."""
+        self.joined: dict[str, str] = {}
+        """Blocks that follow another one while that is in the hand."""
         self.period = max((1 / camera.rate for camera in self.cameras), default=0.0)
         self.last: tuple[float, tuple[BlockReading, ...]] | None = None
         self.looks = 0
+        self.handled, self.moment = False, -1.0
+        """Whether the tool has just taken hold or let go; and when it did last [s]."""
 
     # ------------------------------------------------------------ as a plant
 
     def sense(self) -> Readings:
         """See :class:`~learn2assemble.motion.plant.Plant`; two looks within the time of a picture
-        show the same one."""
+        show the same one, and none is taken at the moment at which the tool takes hold or lets
+        go."""
         readings = self.plant.sense()
-        if self.last is None or readings.time - self.last[0] >= self.period - 1e-9:
+        if self.handled:
+            self.handled, self.moment = False, readings.time
+        since = self.period if self.last is None else readings.time - self.last[0]
+        if readings.time > self.moment and since >= self.period - 1e-9:
             self.last = readings.time, self._look(readings)
+        elif self.last is None:
+            return readings._replace(blocks=())
         return readings._replace(blocks=self.last[1])
 
     def execute(
@@ -106,13 +120,17 @@ class SeeingPlant:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         report = self.plant.request(request)
         if report.stop == Stop.END:
-            if request.what in ("present", "place"):
+            if request.what == "join":
+                self.joined[request.block] = request.kind
+            elif request.what in ("present", "place"):
                 self.kind[request.block] = request.kind
                 self.expected[request.block] = np.array(request.pose, float)
             else:
                 self.kind.pop(request.block, None)
                 self.expected.pop(request.block, None)
-            self.last = None
+            if self.last is not None:  # No picture shows yet what was done.
+                kept = tuple(one for one in self.last[1] if one.block != request.block)
+                self.last = self.last[0], kept
         return report
 
     def stop(self) -> None:
@@ -123,12 +141,38 @@ class SeeingPlant:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         self.plant.close()
 
+    def state(self) -> dict[str, Any]:
+        """What the file of a build keeps, from which another one goes on; what is in the hand then
+        is taken out of it."""
+        expected = {n: None if p is None else p.tolist() for n, p in self.expected.items()}
+        if self.held is not None:
+            expected[self.held[0]] = None
+        behind = getattr(self.plant, "state", None)
+        return {"kind": self.kind, "expected": expected, "plant": behind and behind()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """As :meth:`state` said."""
+        self.kind, self.held, self.last = dict(state["kind"]), None, None
+        found = state["expected"].items()
+        self.expected = {name: None if p is None else np.array(p) for name, p in found}
+        if state["plant"] is not None:
+            self.plant.restore(state["plant"])  # pyright: ignore[reportAttributeAccessIssue]
+
     # ------------------------------------------------------------ looking
 
     def _look(self, readings: Readings) -> tuple[BlockReading, ...]:
-        """What the cameras show now."""
+        """What the cameras show now.
+
+        Raises:
+            PlantError: where none of them shows anything.
+        """
         self.looks += 1
-        views = views_of(self.pictures(), self.cameras)
+        pictures = self.pictures()
+        if self.cameras and all(one.blind for one in pictures):
+            self.plant.stop()
+            names = ", ".join(camera.name for camera in self.cameras)
+            raise PlantError(Stop.LOST, f"nothing is seen by the cameras of the layout: {names}")
+        views = views_of(pictures, self.cameras)
         seen: dict[str, Seen] = {}
         for name, pose in self.expected.items():
             if pose is not None and views:
@@ -139,11 +183,12 @@ class SeeingPlant:
         lost = [self._believed(n, None) for n, pose in self.expected.items() if pose is None]
         if lost and views:
             known = [
-                (self._sort(n).shape, one.pose)
-                for n, one in seen.items()
-                if self.expected[n] is not None
+                (self._sort(n).shape, seen[n].pose if n in seen else pose)
+                for n, pose in self.expected.items()
+                if pose is not None
             ]
-            for one in find(views, lost, known):
+            views = without_arm(views, self.arm, readings.joints)
+            for one in find(views, lost, [*self.fixed, *known]):
                 seen[one.block] = one
         found = []
         for name, one in seen.items():
@@ -185,15 +230,21 @@ class SeeingPlant:
     def _follow(self, report: Report) -> None:
         """What is in the hand moved with it."""
         holds = holding(report.tool)
+        self.handled |= holds != (self.held is not None)
         if self.held is not None:
             name, where, way = self.held
             place, turn = forward(self.chain, report.joints)
             pose = np.array([*(place + turn @ where), *matrix_quaternion(turn @ way)])
+            together = {name, *(one for one, lead in self.joined.items() if lead == name)}
+            before = self.expected[name]
+            for one in together:
+                self.expected[one] = _along(self.expected[one], before, pose)
             self.expected[name] = pose
             if report.stop in (Stop.VACUUM, Stop.WIDTH):
-                self.expected[name] = None
+                self.expected.update(dict.fromkeys(together))
             if not holds:
                 self.held = None
+                self.joined.clear()
         elif holds:
             name = self._nearest(report.joints)
             if name is not None:
@@ -213,6 +264,17 @@ class SeeingPlant:
                 if away < best:
                     best, found = away, name
         return found
+
+
+def _along(
+    pose: np.ndarray | None, before: np.ndarray | None, after: np.ndarray
+) -> np.ndarray | None:
+    """float64[7]: where a pose is when another one that it moves with was and is there."""
+    if pose is None or before is None:
+        return None
+    change = quaternion_matrix(after[3:]) @ quaternion_matrix(before[3:]).T
+    place = after[:3] + change @ (pose[:3] - before[:3])
+    return np.array([*place, *matrix_quaternion(change @ quaternion_matrix(pose[3:]))])
 
 
 def holding(tool: ToolReading) -> bool:

@@ -8,68 +8,177 @@ slowly over the picture and stays, readings lost or mixed beside edges, and read
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import mujoco
 import numpy as np
+from numba import njit
 
+from learn2assemble.motion.plant import Plant
+from learn2assemble.motion.setup import Setup
 from learn2assemble.robot.arm import Arm, arm_model
 from learn2assemble.robot.bodies import Shape
 from learn2assemble.robot.scene import mesh_of
-from learn2assemble.sensing.camera import DepthCamera, DepthNoise, DepthPicture, rotation
+from learn2assemble.sensing.camera import DepthCamera, DepthPicture, rotation
+from learn2assemble.sensing.registration import PreparedPicture
 
 JUMP = 0.008
 """Neighbouring pixels whose depths differ by this share of them are beside an edge."""
+BESIDE_ARM, NEAR_ARM = 4, 0.03
+"""What is shown within so many pixels of the arm, and is so far before or behind it [m], may be
+it."""
+SIGNS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+"""Of the corners of a box."""
 Scenery = tuple[Any, Any]
 """A MuJoCo model and its data."""
 WAVES = (6, 8)
 """Rows and columns of the grid between which the slowly varying error is smooth."""
 
 
-def true_depth(model: mujoco.MjModel, data: mujoco.MjData, camera: DepthCamera) -> np.ndarray:
+def true_depth(scenes: Sequence[Scenery], camera: DepthCamera) -> np.ndarray:
     """float64[rows, columns]: what a camera would read without noise [m]; 0 where nothing is within
     its range.
 
     Args:
-        model: the scene.
-        data: of it, with what is where (after ``mj_forward`` or ``mj_kinematics``).
+        scenes: that are one, with what is where (after ``mj_forward`` or ``mj_kinematics``).
         camera: where it truly is.
     """
     low, high = camera.range
-    rays = camera.rays.reshape(-1, 3)
-    length = np.linalg.norm(rays, axis=1)
-    ways = (rays / length[:, None]) @ camera.turn.T
-    count = len(rays)
-    hit, far = np.empty(count, np.int32), np.empty(count)
-    # The cutoff is compared with the boxes around geoms, so what remains is cut below.
-    cutoff, start, flat = high * float(length.max()), camera.position, ways.ravel()
-    mujoco.mj_multiRay(model, data, start, flat, None, True, -1, hit, far, None, count, cutoff)
-    depth = far / length
-    depth[(far < 0) | (depth < low) | (depth > high)] = 0.0
-    return depth.reshape(camera.rays.shape[:2])
+    depth = np.full(camera.rays.shape[:2], np.inf)
+    for model, data in scenes:
+        shown = _backdrop(model, data, camera, depth)
+        rays = camera.rays[shown]
+        length = np.linalg.norm(rays, axis=1)
+        ways = (rays / length[:, None]) @ camera.turn.T
+        count = len(rays)
+        if not count:
+            continue
+        hit, far = np.empty(count, np.int32), np.empty(count)
+        # The cutoff is compared with the boxes around geoms, so what remains is cut below.
+        cutoff, start, flat = high * float(length.max()), camera.position, ways.ravel()
+        mujoco.mj_multiRay(model, data, start, flat, None, True, -1, hit, far, None, count, cutoff)
+        depth[shown] = np.minimum(depth[shown], np.where(far < 0, np.inf, far / length))
+    depth[(depth < low) | (depth > high)] = 0.0
+    return depth
 
 
-def noisy(
-    depth: np.ndarray, noise: DepthNoise, waves: np.ndarray, rng: np.random.Generator
+def _backdrop(
+    model: mujoco.MjModel, data: mujoco.MjData, camera: DepthCamera, depth: np.ndarray
 ) -> np.ndarray:
-    """float64[rows, columns]: a true depth picture as it would be read once.
+    """bool[rows, columns]: where anything but an endless plane may be seen, so that rays are worth
+    their time; the planes are put into ``depth``, where they are nearer."""
+    columns, rows = camera.resolution
+    shown = np.zeros((rows, columns), bool)
+    for geom in range(model.ngeom):
+        place, turn = data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3)
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE and not model.geom_size[geom][0]:
+            away = float((place - camera.position) @ turn[:, 2])
+            _plane(camera.rays, turn[:, 2] @ camera.turn, away, depth)
+            continue
+        middle, half = model.geom_aabb[geom][:3], model.geom_aabb[geom][3:]
+        seen = camera.project(place + (middle + SIGNS * half) @ turn.T)
+        window = 0, rows, 0, columns
+        if seen[:, 2].min() > 0.01:
+            (u, v), (right, below) = np.floor(seen[:, :2].min(0)), np.ceil(seen[:, :2].max(0)) + 1
+            window = max(0, int(v)), min(rows, int(below)), max(0, int(u)), min(columns, int(right))
+        elif seen[:, 2].max() <= 0:
+            continue
+        origin = turn.T @ (camera.position - place) - middle
+        _box(camera.rays, turn.T @ camera.turn, origin, half + 1e-6, window, shown)
+    return shown
+
+
+@njit(cache=True)
+def _box(rays, between, origin, half, window, shown):
+    """Mark those pixels within a window whose rays meet a box.
 
     Args:
-        waves: float64[rows, columns], the error that varies slowly, in its standard deviations.
+        between: float64[3, 3] from the camera frame to that of the box, whose middle is its origin.
+        origin: float64[3] of the rays there.
+        half: float64[3], half extents of the box.
     """
-    from scipy.ndimage import maximum_filter, minimum_filter
+    for v in range(window[0], window[1]):
+        for u in range(window[2], window[3]):
+            if shown[v, u]:
+                continue
+            enter, leave = 0.0, np.inf
+            for i in range(3):
+                way = 0.0
+                for j in range(3):
+                    way += between[i, j] * rays[v, u, j]
+                if abs(way) < 1e-12:
+                    if abs(origin[i]) > half[i]:
+                        leave = -1.0
+                    continue
+                one, two = (-half[i] - origin[i]) / way, (half[i] - origin[i]) / way
+                enter, leave = max(enter, min(one, two)), min(leave, max(one, two))
+            shown[v, u] = enter <= leave
 
-    there = depth > 0
-    near = minimum_filter(np.where(there, depth, np.inf), 3)
-    far = maximum_filter(depth, 3)
-    beside = there & (far - near > JUMP * depth)
-    out = depth + noise.sigma(depth) * rng.standard_normal(depth.shape) + noise.waves * waves
-    draw = rng.random(depth.shape)
-    mixed = beside & (draw < noise.edges * 1.5) & (draw >= noise.edges)
-    out[mixed] = near[mixed] + rng.random(int(mixed.sum())) * (far - near)[mixed]
-    lost = ~there | (beside & (draw < noise.edges)) | (rng.random(depth.shape) < noise.dropout)
-    return np.where(lost | (out <= 0), 0.0, out)
+
+@njit(cache=True)
+def _plane(rays, normal, away, depth):
+    """Put an endless plane into a depth picture, where it is nearer."""
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            ray = rays[v, u]
+            towards = ray[0] * normal[0] + ray[1] * normal[1] + ray[2] * normal[2]
+            if towards != 0.0 and 0.0 < away / towards < depth[v, u]:
+                depth[v, u] = away / towards
+
+
+@njit(cache=True)
+def _read(depth, noise, waves, frames, rng):
+    """Pictures of a depth picture as they would be read, and of every pixel the median of those
+    that read something.
+
+    Args:
+        depth: float64[rows, columns] as it is.
+        noise: floor, growth, waves, edges and dropout of :class:`DepthNoise`.
+        waves: float64[rows, columns], the error that varies slowly, in its standard deviations.
+        frames: how many.
+        rng: numbers.
+
+    Returns:
+        float32[rows, columns], 0 where nothing was read.
+    """
+    floor, growth, wavy, edges, dropout = noise
+    rows, columns = depth.shape
+    out, found = np.zeros((rows, columns), np.float32), np.zeros(frames)
+    for v in range(rows):
+        for u in range(columns):
+            there = depth[v, u]
+            if there <= 0:
+                continue
+            near, far = there, there
+            for a in range(max(0, v - 1), min(rows, v + 2)):
+                for b in range(max(0, u - 1), min(columns, u + 2)):
+                    if depth[a, b] > 0:
+                        near = min(near, depth[a, b])
+                    far = max(far, depth[a, b])
+            beside = far - near > JUMP * there
+            sigma, count = floor + growth * there * there, 0
+            for _ in range(frames):
+                if rng.random() < dropout:
+                    continue
+                value = there + sigma * rng.standard_normal() + wavy * waves[v, u]
+                if beside:
+                    draw = rng.random()
+                    if draw < edges:
+                        continue
+                    if draw < 1.5 * edges:
+                        value = near + rng.random() * (far - near)
+                if value > 0:
+                    k = count
+                    while k > 0 and found[k - 1] > value:
+                        found[k] = found[k - 1]
+                        k -= 1
+                    found[k] = value
+                    count += 1
+            if count:
+                out[v, u] = (found[(count - 1) // 2] + found[count // 2]) / 2
+    return out
 
 
 class SimulatedCamera:
@@ -96,25 +205,11 @@ class SimulatedCamera:
 
     def look(self, scenes: Sequence[Scenery], time: float = 0.0) -> DepthPicture:
         """What it sees of simulated scenes that are one, see :func:`true_depth` and
-        :func:`noisy`."""
-        depths = np.array([true_depth(*scene, self.camera) for scene in scenes])
-        there = np.where(depths > 0, depths, np.inf).min(0)
-        there, noise = np.where(np.isfinite(there), there, 0.0), self.camera.noise
-        frames = np.array(
-            [noisy(there, noise, self.waves, self.rng) for _ in range(self.camera.frames)]
-        )
-        return DepthPicture(self.camera.name, time, _median(frames).astype(np.float32))
-
-
-def _median(frames: np.ndarray) -> np.ndarray:
-    """float64[rows, columns] of float64[n, rows, columns]; of those that were read."""
-    if len(frames) == 1:
-        return frames[0]
-    count = (frames > 0).sum(0)
-    order = np.sort(np.where(frames > 0, frames, 1e9), axis=0)
-    ends = np.maximum(count - 1, 0) // 2, np.where(count > 0, count // 2, 0)
-    low, high = (np.take_along_axis(order, end[None], 0)[0] for end in ends)
-    return np.where(count > 0, (low + high) / 2, 0.0)
+        :class:`DepthNoise`."""
+        there, told = true_depth(scenes, self.camera), self.camera.noise
+        noise = told.floor, told.growth, told.waves, told.edges, told.dropout
+        depth = _read(there, noise, self.waves, self.camera.frames, self.rng)
+        return DepthPicture(self.camera.name, time, depth)
 
 
 def still_scene(solids: Sequence[tuple[Shape, np.ndarray]]) -> Scenery:
@@ -135,6 +230,40 @@ def still_scene(solids: Sequence[tuple[Shape, np.ndarray]]) -> Scenery:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     return model, data
+
+
+class ArmPicture:
+    """What an arm alone looks like.
+
+    Args:
+        arm: with its tool, at its place.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        self.model = arm_model(arm)
+        self.data = mujoco.MjData(self.model)
+        self.joint = np.array([self.model.joint(name).qposadr[0] for name in arm.joints])
+
+    def at(self, joints: np.ndarray) -> Scenery:
+        """Its scene where it is at joints float64[n] [rad]."""
+        self.data.qpos[self.joint] = joints
+        mujoco.mj_kinematics(self.model, self.data)
+        return self.model, self.data
+
+
+def without_arm(
+    views: Sequence[PreparedPicture], arm: Arm, joints: np.ndarray
+) -> list[PreparedPicture]:
+    """Pictures with nothing read where the arm is, at joints float64[n] [rad], or near it."""
+    from scipy.ndimage import minimum_filter
+
+    scene, found = ArmPicture(arm).at(joints), []
+    for view in views:
+        depth = true_depth([scene], view.device)
+        near = minimum_filter(np.where(depth > 0, depth, np.inf), 2 * BESIDE_ARM + 1)
+        shown = np.isfinite(near) & (np.abs(view.depth - near) < NEAR_ARM)
+        found.append(view._replace(depth=np.where(shown, 0.0, view.depth)))
+    return found
 
 
 class CellCameras:
@@ -159,10 +288,7 @@ class CellCameras:
             SimulatedCamera(camera, given.get(camera.name, (0.0,) * 6), seed + k)
             for k, camera in enumerate(cameras)
         ]
-        self.model = arm_model(arm)
-        self.data = mujoco.MjData(self.model)
-        names = [self.model.joint(name).qposadr[0] for name in arm.joints]
-        self.joint = np.array(names)
+        self.arm = ArmPicture(arm)
 
     def look(
         self, solids: Sequence[tuple[Shape, np.ndarray]], joints: np.ndarray, time: float
@@ -175,6 +301,30 @@ class CellCameras:
             time: [s of the plant's clock]
         """
         scene = still_scene(solids)
-        self.data.qpos[self.joint] = joints
-        mujoco.mj_kinematics(self.model, self.data)
-        return [camera.look([scene, (self.model, self.data)], time) for camera in self.cameras]
+        arm = self.arm.at(joints)
+        return [camera.look([scene, arm], time) for camera in self.cameras]
+
+
+def pictures_of(
+    plant: Plant, setup: Setup, cameras: Sequence[DepthCamera]
+) -> Callable[[], list[DepthPicture]] | None:
+    """What takes pictures of a simulated cell, whose cameras may truly be elsewhere; None: the
+    plant is none that can be looked at.
+
+    Args:
+        plant: that may say what there is (``solids``).
+        setup: of it.
+        cameras: where the layout has them.
+    """
+    there: Callable[[], list[tuple[Shape, np.ndarray]]] | None = getattr(plant, "solids", None)
+    if there is None:
+        return None
+    told = setup.simulated
+    off = dict(zip((one.name for one in cameras), told.disturbance.cameras, strict=False))
+    eyes = CellCameras(setup.arm, cameras, off, told.seed)
+
+    def look() -> list[DepthPicture]:
+        now = plant.sense()
+        return eyes.look(there(), now.joints, now.time)
+
+    return look

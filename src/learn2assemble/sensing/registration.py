@@ -39,11 +39,18 @@ GAP = 6
 """Most pixels between the last one on a face and the first one behind it."""
 BLUR = 0.3
 """Standard deviation of the place of an outline that is not due to the pixels [pixels]."""
+LEAST_OUTLINE = 0.25
+"""Share of the places along an edge at which its outline has to be seen."""
 MOST_CUT = 6.0
 """So many places along an outline at most count as independent."""
 BACKGROUND = 4
 """Pixels beyond an outline that say what lies behind it."""
-ROUNDS = 10
+ROUNDS, LAST_ROUNDS, LEAST_REACH = 11, 5, 4
+"""So often a pose is improved; in the last rounds outlines are looked for within the same few
+pixels: a step that was made for an outline which is none at close range is taken back."""
+ENOUGH = 2.5
+"""A direction along which the pictures do not tell so many times more than the search does is left
+as it is believed: what little they tell there comes from stray pixels."""
 NOTHING = 0.02
 """Share of the search that the covariance of a reading has of what no picture says: whoever
 averages readings must not take where a block was looked for for where it was seen."""
@@ -416,6 +423,9 @@ def _outlines(picture, camera, block, shape, noise, seen_faces, reach, sums):
             places[found - start, 3:6] = along
             _lever(world, along, places[found - start], 6)
             found += 1
+        if found - start < LEAST_OUTLINE * samples:
+            found = start  # Stray pixels: an outline is seen along much of an edge.
+            continue
         # Pixels cut an edge at the same place all along, where it runs with them.
         alike = max(1.0, (found - start) / spread)
         middle_off = np.median(places[: found - start, 0]) if found > start else 0.0
@@ -552,30 +562,41 @@ def register(views: Sequence[PreparedPicture], believed: Believed) -> Seen:
     prior = np.diag([1 / place**2] * 3 + [1 / turn**2] * 3)
     pose, offset, sums = start.copy(), np.zeros(6), None
     for number in range(ROUNDS):
+        last = number >= ROUNDS - LAST_ROUNDS
         gate = max(BEYOND, place * 0.6**number)
-        reach = max(4, REACH - number)
+        reach = LEAST_REACH if last else max(LEAST_REACH, REACH - number)
         sums = _normal_equations(views, shape, pose, gate, reach, FEW if number < 4 else MANY)
         if sums.counts[0] < LEAST // 4:
             break
-        step = np.linalg.solve(sums.information + prior, sums.gradient - prior @ offset)
+        known, pull = _told(sums, prior)
+        step = np.linalg.solve(known + prior, pull - prior @ offset)
         step[:3] = step[:3].clip(-place, place)
         step[3:] = step[3:].clip(-2 * turn, 2 * turn)
         pose, offset = _stepped(pose, step), offset + step
-        if number > 2 and np.abs(step[:3]).max() < 5e-5 and np.abs(step[3:]).max() < 1e-3:
+        if last and np.abs(step[:3]).max() < 5e-5 and np.abs(step[3:]).max() < 1e-3:
             break
     assert sums is not None
-    sums = _normal_equations(views, shape, pose, BEYOND, 4)
+    sums = _normal_equations(views, shape, pose, BEYOND, LEAST_REACH)
     look = _looks(sums.counts, views)
     if look == Look.SEEN and np.linalg.norm(pose[:3] - start[:3]) > 4 * place:
         look = Look.ABSENT
     worse = max(1.0, sums.squares / max(int(sums.counts[0]) - 6, 1))
-    covariance = np.linalg.inv(sums.information / worse + NOTHING * prior)
+    covariance = np.linalg.inv(_told(sums, prior)[0] / worse + NOTHING * prior)
     on, border, _, behind, _ = sums.counts.tolist()
     if look != Look.SEEN:
         return Seen(believed.block, look, start, covariance, on + border, behind)
     covariance = (covariance + covariance.T) / 2 + _of_cameras(views, pose, sums.of_face)
     pose = _nearest(pose, start, believed.turns)
     return Seen(believed.block, look, pose, covariance, on + border, behind)
+
+
+def _told(sums: _Sums, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Information and gradient along those directions of which the pictures tell enough."""
+    scale = 1 / np.sqrt(np.diag(prior))
+    told, axes = np.linalg.eigh(sums.information * np.outer(scale, scale))
+    axes = axes[:, told >= ENOUGH**2]
+    onto = (axes @ axes.T) * scale / scale[:, None]
+    return onto.T @ sums.information @ onto, onto.T @ sums.gradient
 
 
 def _looks(counts: np.ndarray, views: Sequence[PreparedPicture]) -> Look:

@@ -14,7 +14,7 @@ import numpy as np
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.plant import PlantError, Readings, Report, Request, Stop, ToolReading
 from learn2assemble.motion.setup import BlockKind, Setup
-from learn2assemble.robot.bodies import body_of, overlaps, solids
+from learn2assemble.robot.bodies import Shape, body_of, overlaps, solids
 from learn2assemble.simulation.disturbances import (
     DROPPED,
     PUSHED,
@@ -106,6 +106,11 @@ class SimulatedCell:
         poses = {name: thing.pose for name, thing in self.things.items()}
         blocks = self.pictures.look(time, poses)
         return Readings(time, joints, velocity, blocks, tool, self.arm.name)
+
+    def solids(self) -> list[tuple[Shape, np.ndarray]]:
+        """Shapes and poses float64[7] of all that stands there, for cameras to take pictures of."""
+        blocks = [(thing.kind.shape, thing.pose) for thing in self.things.values()]
+        return [*((kind.shape, pose) for kind, pose in self.setup.fixed), *blocks]
 
     # ------------------------------------------------------------ what others fill in
 
