@@ -98,6 +98,16 @@ def test_a_pile_of_stones_does_not_fall() -> None:
         assert (one.vertices == two.vertices).all()
 
 
+def test_stones_that_are_laid_lie_on_one_another_and_have_an_order() -> None:
+    pile = script("stones").stones(8, seed=3, spread=0.015, laid=True)
+    check_overlaps(pile)
+    low = [block.vertices[:, 2].min() for block in pile.blocks]
+    assert max(low) > 0.005
+    plan = l2a.build(pile, supports="none")
+    assert plan.status == "complete"
+    assert plan.blocks.used == 8
+
+
 @pytest.mark.parametrize(
     ("name", "words"),
     [

@@ -219,12 +219,12 @@ def posts_entry(seed: int) -> Result:
 
 
 def pile_entry(seed: int) -> Result:
-    """A pile of stones: its order, and how far stones get in each of its states.
+    """A pile of laid stones: its order, and how far stones get in each of its states.
 
     Where stones touch at points there are no joints to open; all faces drawn in are stones that lie
     0.1 mm above one another, so this move has their way down in it.
     """
-    pile = _script("stones", "stones", count=STONES, seed=seed)()
+    pile = _script("stones", "stones", count=STONES, seed=seed, laid=True)()
     plan, result = _planned(pile)
     assert plan.assembly is not None
     moves = largest_moves(plan.assembly)
