@@ -7,7 +7,7 @@ TORCH := torch==2.13.0
 STAMP := $(VENV)/.installed
 PRODUCT := $(VENV)/.installed-product
 
-.PHONY: demo test lint docs install clean
+.PHONY: demo test test-product test-tasks test-laboratory lint docs install clean
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=python3.x"; exit 1; }
@@ -42,6 +42,9 @@ docs: $(STAMP)
 
 test: lint docs
 	$(BIN)/python -m pytest
+
+test-product test-tasks test-laboratory: $(STAMP)
+	$(BIN)/python -m pytest -m $(subst test-,,$@)
 
 clean:
 	rm -rf $(VENV) out runs build dist

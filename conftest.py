@@ -16,6 +16,22 @@ settings.register_profile("repeatable", derandomize=True)
 settings.load_profile("repeatable")
 
 
+TASKS = "learn2assemble.tasks", "learn2assemble.envs", "learning_data"
+"""What a test imports that is of the wing of the paper."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Every test is of one part: the product, the tasks of the paper, the laboratory."""
+    part: dict[Path, str] = {}
+    for item in items:
+        if item.path not in part:
+            text = item.path.read_text(encoding="utf-8")
+            of_tasks = any(name in text for name in TASKS)
+            lab = "laboratory" in item.path.parts
+            part[item.path] = "laboratory" if lab else "tasks" if of_tasks else "product"
+        item.add_marker(part[item.path])
+
+
 @pytest.fixture(scope="session")
 def reference() -> Path:
     """Folder of what the published simulator was recorded to do: all of it where it is present,

@@ -90,7 +90,10 @@ def test_the_commands_of_the_documents_run(
     monkeypatch.setattr("learn2assemble.viewer.server.serve", lambda *_: "")
     for name in ("examples", "tests"):
         (tmp_path / name).symlink_to(ROOT / name)
-    (tmp_path / "README.md").write_text((ROOT / "README.md").read_text(encoding="utf-8"))
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "results.md").write_text(
+        (ROOT / "docs" / "results.md").read_text(encoding="utf-8"), encoding="utf-8"
+    )
     done = set()
     for page, program, words in commands():
         text = " ".join(words)

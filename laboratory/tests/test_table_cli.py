@@ -193,10 +193,10 @@ def test_training_the_agents_of_a_table(tmp_path: Path, capsys: pytest.CaptureFi
     assert (tmp_path / "runs" / "tiny-s1" / "agent.safetensors").read_bytes() == weights
 
 
-def test_the_table_of_the_readme_is_generated() -> None:
-    readme, table = ROOT / "README.md", get_table("shipped")
-    text = compact_markdown(load_table(table, ROOT / "results")).join(_around(readme, table))
-    assert text == readme.read_text(encoding="utf-8")
+def test_the_table_of_the_documents_is_generated() -> None:
+    page, table = ROOT / "docs" / "results.md", get_table("shipped")
+    text = compact_markdown(load_table(table, ROOT / "results")).join(_around(page, table))
+    assert text == page.read_text(encoding="utf-8")
 
 
 # Recipes.

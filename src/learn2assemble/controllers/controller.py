@@ -44,7 +44,7 @@ STANDS = 0.005
 """Slower joints stand [rad/s]."""
 
 
-class State(NamedTuple):
+class ControllerState(NamedTuple):
     """What a controller says at one moment."""
 
     time: float
@@ -78,9 +78,9 @@ class Controller:
         self.settings, self.driver = self.around.program, driver_of(setup.arm)
         self._clock = ControllerClock(self.around.silence)
         self._base = quaternion_matrix(self.driver.base[3:])
-        self._last: State | None = None
+        self._last: ControllerState | None = None
 
-    def _read(self) -> State:
+    def _read(self) -> ControllerState:
         """What the controller said last.
 
         Raises:
@@ -96,7 +96,7 @@ class Controller:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         raise NotImplementedError
 
-    def _now(self) -> State:
+    def _now(self) -> ControllerState:
         """What the controller says now.
 
         Raises:

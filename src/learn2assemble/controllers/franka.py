@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.controllers.common import Address, lost
-from learn2assemble.controllers.controller import State, WatchingController
+from learn2assemble.controllers.controller import ControllerState, WatchingController
 from learn2assemble.errors import InputError, extra
 from learn2assemble.motion.plant import (
     Motion,
@@ -61,12 +61,12 @@ class FrankaPlant(WatchingController):
 
     # ------------------------------------------------------------ what is sensed
 
-    def _read(self) -> State:
+    def _read(self) -> ControllerState:
         state, mode = self._state(), ""
         if state.robot_mode.name not in MAY_MOVE:
             mode = f"the robot is in the mode {state.robot_mode.name}"
         q, v = np.array(state.q, float).ravel(), np.array(state.dq, float).ravel()
-        return State(float(state.time.to_sec()), q, v, self._tool(state), mode)
+        return ControllerState(float(state.time.to_sec()), q, v, self._tool(state), mode)
 
     def _state(self) -> Any:
         try:

@@ -17,7 +17,13 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.controllers.common import Address, lost, refused
-from learn2assemble.controllers.controller import CONNECT, POLL, STANDS, State, WatchingController
+from learn2assemble.controllers.controller import (
+    CONNECT,
+    POLL,
+    STANDS,
+    ControllerState,
+    WatchingController,
+)
 from learn2assemble.errors import extra
 from learn2assemble.motion.plant import Motion, PlantError, Stop, ToolCommand, ToolReading
 from learn2assemble.motion.setup import Setup
@@ -126,10 +132,10 @@ class RosPlant(WatchingController):
 
     # ------------------------------------------------------------ what is sensed
 
-    def _read(self) -> State:
+    def _read(self) -> ControllerState:
         now, joints, velocity = self._joints()
         stopped = "the robot is stopped" if self._stopped() else ""
-        return State(now, joints, velocity, self._tool(), stopped)
+        return ControllerState(now, joints, velocity, self._tool(), stopped)
 
     def _joints(self) -> tuple[float, np.ndarray, np.ndarray]:
         """Time [s], positions and velocities of the joints in the order of the arm."""

@@ -32,7 +32,7 @@ from learn2assemble.controllers.controller import (
     SLACK,
     STANDS,
     Controller,
-    State,
+    ControllerState,
 )
 from learn2assemble.controllers.ur_motion import (
     BEAT,
@@ -132,8 +132,8 @@ class UrPlant(Controller):
 
     # ------------------------------------------------------------ what is sensed
 
-    def _read(self) -> State:
-        return State(
+    def _read(self) -> ControllerState:
+        return ControllerState(
             self._state.getTimestamp(),
             np.array(self._state.getActualQ()),
             np.array(self._state.getActualQd()),

@@ -12,6 +12,7 @@ from types import ModuleType
 
 import matplotlib
 import numpy as np
+import shapely
 from PIL import Image, ImageDraw, ImageFont
 
 from learn2assemble.assembly.appearance import rgb
@@ -48,9 +49,12 @@ _FOOT = 92
 SKY, TABLE, WAITING = rgb("#f1efea"), np.array([228, 223, 213], np.float32), rgb("#e9ddc7")
 _BAD, _GOOD, _UNDONE = "#a3261c", "#17663c", "#ddb0ac"
 """Of words and of attempts; the last one of what failed, before it is done."""
-_FROM = np.array([0.5, -1.0, 0.6])
-"""Direction from the structure to the camera, world frame."""
-_SUN = np.array([-0.9, -1.9, 2.5])
+_FROM = np.array([[0.5, -1.0, 0.6], [1.0, -0.55, 0.6]])
+"""Directions from the structure to the camera, with the arm on the left: from its side, and ..."""
+_WIDER = 1.25
+"""... from opposite, where the structure shows so many times the area from there."""
+_SUN = np.array([[-0.9, -1.9, 2.5], [1.6, -1.4, 2.5]])
+"""Directions to the sun, one for each of these."""
 _FIELD = 16.0
 """Angle of view, up and down [degrees]."""
 
@@ -86,8 +90,9 @@ class Frames:
             for cell in step.cells
         }
         self.buffers = renderer.Buffers(self.triangles, WIDTH, HEIGHT - _FOOT)
-        self.camera = self._camera()
-        self.light = renderer.sunlight(self._turned(_SUN), self._points(), 0.12)
+        view = self._view()
+        self.camera = self._camera(self._turned(_FROM[view]))
+        self.light = renderer.sunlight(self._turned(_SUN[view]), self._points(), 0.12)
         self.sheets = self._sheets()
         self.ribbons = self._ribbons()
 
@@ -276,13 +281,12 @@ class Frames:
         cells = [p[p[:, 2] > 0, :3] for p in (record.steps[0].before, record.steps[-1].after)]
         return np.concatenate([*cells, *self.targets, extent(self.playback)])
 
-    def _camera(self) -> renderer.Camera:
-        """As near as shows everything, as the page does."""
+    def _camera(self, back: np.ndarray) -> renderer.Camera:
+        """As near as shows everything from a direction, as the page does."""
         points, width, height = self._points(), WIDTH, HEIGHT - _FOOT
         pad = 0.75 * self.playback.record.block_edge
         corners = pad * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         cloud = (points[:, None] + corners).reshape(-1, 3)
-        back = self._turned(_FROM)
         axes = renderer.view_axes(back)
         focal = height / 2 / np.tan(np.radians(_FIELD / 2))
         centre, distance = cloud.mean(0), 6 * float(np.ptp(cloud, axis=0).max())
@@ -295,6 +299,19 @@ class Frames:
             distance *= min(max(float(fit.max()), 0.5), 2.0)
         eye = centre + distance * back
         return renderer.Camera(eye, axes, float(focal), np.array([width / 2, height / 2]))
+
+    def _view(self) -> int:
+        """The number of the direction from which the finished structure shows most."""
+        built = self.playback.record.steps[-1].after[:, :3]
+        first, second = (
+            shapely.area(
+                shapely.convex_hull(
+                    shapely.multipoints(built @ renderer.view_axes(self._turned(back))[:2].T)
+                )
+            )
+            for back in _FROM
+        )
+        return int(second > _WIDER * first)
 
     def _turned(self, direction: np.ndarray) -> np.ndarray:
         """The unit vector of a direction that is meant for an arm on the left."""
