@@ -199,10 +199,12 @@ class WatchingController(Controller):
                 self._tell(left)
             elif moves:
                 self.stop()
-        except PlantError as error:
-            stop, why = error.stop, error.why
-        except OSError as error:
-            stop, why = Stop.LOST, str(error)
+        except (PlantError, OSError) as error:
+            stop = error.stop if isinstance(error, PlantError) else Stop.LOST
+            why = error.why if isinstance(error, PlantError) else str(error)
+            # Whoever lost sight of the arm stops it, where it can still be told.
+            with contextlib.suppress(PlantError, OSError):
+                self.stop()
         return self._report(stop, motion, past, begun, why)
 
     def _watch(
