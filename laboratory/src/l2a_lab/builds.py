@@ -220,6 +220,8 @@ def _inexact(kind: str, what: str, arm: str, last: str) -> Result:
         far = WORSE * READINGS.place
         noise = Noise(far, WORSE * READINGS.turn, missing=READINGS.missing)
         told = told._replace(supply=(WORSE * SUPPLY[0], WORSE * SUPPLY[1]))
+    # No two builds have the same table, readings and blocks.
+    seed = int(rng.integers(2**31))
     at = Workcell(arm, "suction", seed=seed, noise=noise, disturbance=told, touch=last != "blind")
     planned = time.process_time()
     found = prepare(plan, at, kit.joint_gap)
@@ -292,6 +294,7 @@ def _described(plan: Plan, planning: float, building: float) -> Result:
                 "error_worst": arm.error_worst,
                 "belief_error": arm.belief_error,
                 "overlap": arm.overlap,
+                "error_on_table": arm.error_on_table,
                 "failures": to_plain(arm.failures),
                 "places": arm.places,
                 "robot_s": arm.seconds,
@@ -394,7 +397,10 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
             worst = max((one.get("error_worst") or 0 for one in group.values()), default=0)
             deep = max((one.get("overlap") or 0 for one in group.values()), default=0)
             hard = max((one.get("pressed_N") or 0 for one in group.values()), default=0)
-            words += f"; off by {1e3 * worst:.2f} mm, into another {1e3 * deep:.2f} mm at most"
+            words += f"; off by {1e3 * worst:.2f} mm, into another {1e3 * deep:.3f} mm at most"
+            if key == "guarded":
+                there = max((one.get("error_on_table") or 0 for one in group.values()), default=0)
+                words += f", on the table as it is by {1e3 * there:.2f} mm"
             words += f", pressed with {hard:.1f} N" if hard else ""
         rows.append((key, asked.get(key, "all"), words))
         if key == "program":

@@ -15,7 +15,13 @@ from learn2assemble.robot.approach import approach_path, tool_path
 from learn2assemble.robot.moves import Move, Outcome, turned, turns
 from learn2assemble.simulation.cell import DynamicCell
 from learn2assemble.simulation.execution import BLIND, LOADED, Execution, Rig, abandon
-from learn2assemble.simulation.model import Failure, Order, SimulatedWorld, take_order
+from learn2assemble.simulation.model import (
+    Failure,
+    Order,
+    SimulatedWorld,
+    lean_table,
+    take_order,
+)
 from learn2assemble.simulation.prepare import (
     PRESS,
     Approaches,
@@ -187,6 +193,7 @@ class Attempts:
         """The ways of an attempt, and the model they were planned in."""
         if self.planner is not None:
             world = self.planner.world(order.objects, order.scene.studs)
+            lean_table(world.plan, order.scene.table)
             return prepare(self.job.arm, world, order, joints, True), world
         return straight(self, order, joints), None
 

@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
+from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, rotation_of
 from learn2assemble.motion.plant import BlockReading
 
 GATE = 27.86
 """A reading of a block at rest is farther off once in 10,000 (chi-square, six degrees)."""
-DRIFT, DRIFT_TURN = 5e-5, 1e-4
+DRIFT, DRIFT_TURN = 1e-5, 5e-5
 """By which a block at rest may creep between two looks: standard deviations [m], [rad]."""
 TINY = 1e-18
 """Added to variances of which the inverse is taken."""
@@ -38,6 +38,11 @@ class Estimate(NamedTuple):
     def spread(self) -> float:
         """Standard deviation of the place along the axis where it is largest [m]."""
         return math.sqrt(max(float(np.linalg.eigvalsh(self.covariance[:3, :3])[-1]), 0.0))
+
+    @property
+    def turn_spread(self) -> float:
+        """The same of its rotation [rad]."""
+        return math.sqrt(max(float(np.linalg.eigvalsh(self.covariance[3:, 3:])[-1]), 0.0))
 
     def moved(self, step: np.ndarray) -> Estimate:
         """The pose moved by a small step float64[6]."""
@@ -61,20 +66,6 @@ def _turned(estimate: Estimate, rotation: np.ndarray) -> np.ndarray:
     both = np.zeros((6, 6))
     both[:3, :3] = both[3:, 3:] = rotation
     return both @ estimate.covariance @ both.T
-
-
-def rotation_of(vector: np.ndarray) -> np.ndarray:
-    """float64[3, 3]: the turn about a vector by its length [rad]."""
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-12:
-        return np.eye(3) + _cross(vector)
-    across = _cross(vector / angle)
-    return np.eye(3) + math.sin(angle) * across + (1 - math.cos(angle)) * across @ across
-
-
-def _cross(v: np.ndarray) -> np.ndarray:
-    x, y, z = v.tolist()
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def step_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:

@@ -164,6 +164,9 @@ class Building:
         state, presented = world.state[k], world.state[k] == STOCK
         move, why, rows = None, f"{world.pieces[k].id} is not seen", None
         if not presented or self._present(action):
+            if presented and action.what == "place":
+                # How well a place can be known at all is known once something was seen.
+                action = action._replace(goal=self.known.fitted(k))
             skip = self.known.fails[key] % TRIES
             move, why, rows = self._way(action, skip)
         if move is None or rows is None:
@@ -248,7 +251,9 @@ class Building:
         number = len(self.known.done) + 1
         what = "remove" if world.state[k] == STANDING else "place"
         self.recording.by_hand(k, what == "place")
-        self._ask(what, k, action.goal)
+        drawn = world.drawn(k)
+        drawn[:3] += action.goal[:3] - world.target(k)[:3]
+        self._ask(what, k, drawn)
         if what == "remove":
             world.state[k] = RETURNED
             self.sight.belief.forget(world.names[k])
@@ -270,7 +275,8 @@ class Building:
         self.sight.look({world.names[k]})
         if self.sight.unknown(k):
             return False
-        world.pose[k] = self.sight.belief.known[world.names[k]].pose
+        known = self.sight.belief.known[world.names[k]]
+        world.pose[k], world.spread[k] = known.pose, (known.spread, known.turn_spread)
         return True
 
     def _take_back(self, k: int) -> None:
@@ -289,7 +295,9 @@ class Building:
     def _way(self, action: Action, skip: int) -> tuple[Move | None, str, Rows]:
         """The first way the kinematic cell allows, after as many as have failed in reality."""
         k, goal = action.block, action.goal
-        rows, why = rows_of(self.world, self.world.pose, k, action.group), ""
+        poses, why = self.world.pose.copy(), ""
+        poses[k] = self.world.resting(k)
+        rows = rows_of(self.world, poses, k, action.group)
         into: tuple[Direction, ...] = (DOWN,)
         if action.what in ("place", "again"):
             into = self.known.structure.ways_in(k, self.known.standing() - {k})

@@ -16,6 +16,7 @@ from learn2assemble.assembly.blocks import AssemblyStep
 from learn2assemble.cell.building import ASIDE, Building
 from learn2assemble.cell.workcell import STANDING, Job, StepOf, Workcell
 from learn2assemble.geometry.hulls import separation
+from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.planning.plan import ArmFailure, ArmReport, Plan, Step
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import solids
@@ -73,6 +74,7 @@ def arm_report(
         measured.worst,
         belief_error=measured.belief,
         overlap=measured.overlap,
+        error_on_table=measured.on_table,
     )
 
 
@@ -86,23 +88,31 @@ class Measured(NamedTuple):
     belief: float | None = None
     """Largest distance of a block from where it is believed to be."""
     overlap: float | None = None
-    """By which two blocks overlap at most, as they are meant to be; at most 0: they do not."""
+    """By which two blocks overlap at most, as they really are; at most 0: they do not."""
+    on_table: float | None = None
+    """Largest distance of a block from its place on the table as it really is, where that is not
+    as it should be."""
 
 
 def measure(building: Building, plant: object) -> Measured:
     """What a simulation says of itself; the build is over and has seen none of it."""
-    truth: dict[str, np.ndarray] | None = None
-    if hasattr(plant, "truth"):
-        truth = plant.truth()  # pyright: ignore[reportAttributeAccessIssue]
     world, there = building.world, sorted(building.known.standing())
-    if truth is None or not there:
+    shown: Any = plant
+    if not hasattr(plant, "truth") or not there:
         return Measured()
+    truth, shapes, worst = shown.truth(), getattr(plant, "shapes", dict)(), None
     away = np.array([0.0, 0.0, -1.0, 1.0, 0.0, 0.0, 0.0])
     poses = {k: truth.get(world.names[k], away) for k in there}
-    errors = [float(np.linalg.norm(poses[k][:3] - world.target(k)[:3])) for k in there]
+    errors = [float(np.linalg.norm(poses[k][:3] - world.drawn(k)[:3])) for k in there]
+    table = getattr(plant, "table", None)
+    if table is not None and (table[:3].any() or table[3] != 1.0):
+        meant = np.array([world.drawn(k)[:3] for k in there])
+        meant = table[:3] + meant @ quaternion_matrix(table[3:]).T
+        off = np.array([poses[k][:3] for k in there]) - meant
+        worst = round(float(np.linalg.norm(off, axis=1).max()), 6)
     belief = [float(np.linalg.norm(poses[k][:3] - world.pose[k, :3])) for k in there]
     deepest = -math.inf
-    bodies = {k: solids(world.pieces[k].shape, poses[k]) for k in there}
+    bodies = {k: solids(shapes.get(world.names[k], world.pieces[k].shape), poses[k]) for k in there}
     ends = {
         k: (np.min([b[0].min(0) for b in body], 0), np.max([b[0].max(0) for b in body], 0))
         for k, body in bodies.items()
@@ -114,7 +124,11 @@ def measure(building: Building, plant: object) -> Measured:
                 deepest = max(deepest, -min(gaps))
     overlap = None if deepest == -math.inf else round(deepest, 6)
     return Measured(
-        round(float(np.mean(errors)), 6), round(max(errors), 6), round(max(belief), 6), overlap
+        round(float(np.mean(errors)), 6),
+        round(max(errors), 6),
+        round(max(belief), 6),
+        overlap,
+        worst,
     )
 
 

@@ -32,9 +32,9 @@ PICTURE = 0.1
 """Two readings tell more than one if they are so far apart in time [s]."""
 MOST_LOOKS = 10
 """How often it is looked at most for what has to be known."""
-FINE = 2.2e-4
+FINE = 1.2e-4
 """What is in the hand is looked at until its place is known so well: standard deviation [m]."""
-SHIFT, SHIFT_TURN = 2e-4, 3e-3
+SHIFT, SHIFT_TURN = 1e-4, 2e-3
 """By which a block may move when it is taken or let go: standard deviations [m], [rad]."""
 FLUSH, FLUSH_TURN = 1e-4, 2e-3
 """How well a face lies against pads or lip: standard deviations [m], [rad]."""
@@ -151,6 +151,7 @@ class Sight:
                 world.state[k] = LOST
             if known is not None and world.state[k] in (STANDING, LOOSE, LOST):
                 world.pose[k] = known.pose
+                world.spread[k] = known.spread, known.turn_spread
 
     def unknown(self, k: int) -> bool:
         """Whether it is not known where a block is."""

@@ -7,14 +7,13 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import Counter
-from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from learn2assemble.cell.fitting import Fitting
 from learn2assemble.cell.pieces import Piece
 from learn2assemble.cell.workcell import (
-    LEANING,
     LEANS,
     LOOSE,
     LOST,
@@ -30,79 +29,6 @@ from learn2assemble.cell.workcell import (
     WorkcellBlocks,
     supply_of,
 )
-from learn2assemble.geometry.hulls import separation
-from learn2assemble.robot.bodies import Solid, solids
-
-WITHIN = 0.02
-"""What is farther from the place of a block than this leaves it all the room it needs [m]."""
-SAME_WAY = 1 - 1e-6
-"""Cosine of the angle between two axes that are one."""
-
-
-def fitted(world: WorkcellBlocks, standing: set[int], k: int) -> np.ndarray:
-    """Where a block goes, shifted by the little that its neighbours are off: on those that carry
-    it, and between those beside it.
-
-    Args:
-        world: where blocks are believed to be.
-        standing: pieces in the structure, without the block itself.
-        k: the block.
-
-    Returns:
-        float64[7]: in the middle of a slot that is too narrow for half a joint on both sides.
-    """
-    piece, goal, joint = world.pieces[k], world.target(k), world.job.joint
-    mine, (low, high) = solids(piece.shape, piece.pose), piece.extent
-    beds: list[tuple[np.ndarray, float]] = []
-    sides: list[tuple[np.ndarray, float]] = []
-    for n in sorted(standing):
-        other = world.pieces[n]
-        if (np.maximum(other.extent[0] - high, low - other.extent[1]) > WITHIN).any():
-            continue
-        shift = world.pose[n, :3] - world.target(n)[:3]
-        for one, two in product(mine, solids(other.shape, other.pose)):
-            gap, way = separation(one, two)
-            if gap > WITHIN or not _faces(one, two, gap, way):
-                continue
-            if way[2] < -LEANING:
-                beds.append((way, float(way @ shift)))
-            elif way[2] < 1 - LEANING:
-                sides.append((way, gap + float(way @ shift) - joint / 2))
-    if beds:
-        ways, off = (np.array(column) for column in zip(*beds, strict=True))
-        goal[:3] += np.linalg.pinv(ways, rcond=1e-3) @ off
-    return _between(goal, goal[:3] - world.target(k)[:3], sides)
-
-
-def _faces(one: Solid, two: Solid, gap: float, way: np.ndarray) -> bool:
-    """Whether a body would run into another one on the axis that parts them, not past it."""
-    ahead = one[0] + way * (gap + 3e-3), one[1], one[2]
-    return separation(ahead, two)[0] < -1e-3
-
-
-def _between(
-    goal: np.ndarray, moved: np.ndarray, sides: list[tuple[np.ndarray, float]]
-) -> np.ndarray:
-    """A pose moved out of what stands beside it, axis by axis: into the middle of a slot that is
-    too narrow, else by the least that is needed.
-
-    Args:
-        moved: float64[3] that it has been moved already [m].
-        sides: unit vectors towards others, and how far it may be moved along them [m].
-    """
-    left = list(sides)
-    while left:
-        axis = left[0][0]
-        high = min(free for way, free in left if way @ axis > SAME_WAY)
-        low = max((-free for way, free in left if way @ axis < -SAME_WAY), default=-math.inf)
-        left = [(way, free) for way, free in left if abs(way @ axis) <= SAME_WAY]
-        there = float(moved @ axis)
-        wanted = (low + high) / 2 if low > high else min(max(there, low), high)
-        goal[:3] += (wanted - there) * axis
-    return goal
-
-
-# ---------------------------------------------------------------- what follows
 
 NEAT = 8e-4
 """A neighbour that is off by more is put right where it leaves the next block no room [m]."""
@@ -172,6 +98,8 @@ class Choice:
         self.accepted: set[int] = set()
         """Blocks that stay as they are, though not right."""
         self.done: list[Done] = []
+        self.fitting = Fitting(self.world)
+        self.comes = {step.block for step in self.order}
 
     def state(self) -> dict[str, Any]:
         """What a file says of it, with what came of the last attempt."""
@@ -209,6 +137,7 @@ class Choice:
 
     def choose(self) -> Action | str | None:
         """The next action; None where all is done, words where nothing can be."""
+        self.world.table = self.fitting.table(self.standing() - self.accepted)
         repair = self._repair()
         if repair is not None:
             return repair
@@ -231,7 +160,11 @@ class Choice:
         ready = [step for step in ready if self._left(step.block, what[step]) > 0]
         ready.sort(key=lambda step: self.fails[step.block, what[step]] // TRIES)
         for step in ready:
-            why = self.refused.get(step.block)
+            why, failed = self.refused.get(step.block), self.fails[step.block, what[step]]
+            if failed % TRIES == TRIES - 1 and self.done[-1].block == step.block:
+                tight = self._tight(step.block)
+                if tight is not None:
+                    return tight
             if why is None:
                 action = self._place_or_remove(step)
                 if isinstance(action, Action):
@@ -310,6 +243,14 @@ class Choice:
             free = not self.structure.loads(n, standing) and self._left(n, "again") > 2 * TRIES
             beside = self.world.pieces[n].face().intersects(place)
             if level and free and beside and np.linalg.norm(off) > NEAT:
+                return Action(n, self.fitted(n), "again")
+        return None
+
+    def _tight(self, k: int) -> Action | None:
+        """Put a neighbour right that leaves a block less room than it needs, where it can be."""
+        standing = self.standing()
+        for n in self.fitting.tight(k, standing & self._together(k)):
+            if not self.structure.loads(n, standing) and self._left(n, "again") > 2 * TRIES:
                 return Action(n, self.fitted(n), "again")
         return None
 
@@ -397,13 +338,15 @@ class Choice:
         return any(source.magazine and source.area.intersects(near) for source in self.job.sources)
 
     def fitted(self, k: int, group: tuple[int, ...] = ()) -> np.ndarray:
-        """float64[7]: where a block goes, with what it brings along, see :func:`fitted`."""
+        """float64[7]: where a block goes, with what it brings along, see
+        :class:`~.fitting.Fitting`."""
         world, taken = self.world, [k, *group]
         beside = world.beside[taken].copy()
         if group:
             world.beside[taken] = 0.0
-        others = (self.standing() & self._together(k)) - set(taken)
-        goal = fitted(world, others, k)
+        others = self._together(k) - set(taken)
+        coming = {n for n in others & self.comes if world.state[n] in (STOCK, LOOSE)}
+        goal = self.fitting.goal(k, self.standing() & others, coming)
         world.beside[taken] = beside
         return goal
 

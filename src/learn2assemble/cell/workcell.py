@@ -23,7 +23,12 @@ import numpy as np
 from learn2assemble.cell.pieces import Piece, pieces_of
 from learn2assemble.cell.site import Obstacle, Site, Source
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.rotations import quaternion_matrix, yaw_quaternion
+from learn2assemble.geometry.rotations import (
+    matrix_quaternion,
+    quaternion_matrix,
+    rotation_of,
+    yaw_quaternion,
+)
 from learn2assemble.motion.setup import Disturbance, Noise, Simulated
 from learn2assemble.planning.clearance import ways_out
 from learn2assemble.robot.arm import Arm, get_arm
@@ -47,6 +52,8 @@ LEANS = math.radians(2.0)
 """... and so is one that leans or is turned by more [rad]."""
 FLAT = math.radians(4.0)
 """What leans more cannot be picked up [rad]."""
+FLUSH = math.radians(1.0)
+"""What seems to lean by less rests on its face [rad]."""
 HIDDEN = 0.05
 """Blocks in a magazine lie so far under the table [m]."""
 OBSTACLE_DENSITY = 20_000.0
@@ -60,6 +67,8 @@ STEEP_JOINT = 0.9
 LOW_WAY, MORE_WAYS = 0.3, 2
 """Height of the directions from which a block may come, at least, and how many further ones are
 tried where blocks lean."""
+PLACED = 1.5e-4
+"""Standard deviation of where blocks come to stand where readings are not exact [m]."""
 TRIES = 3
 """Attempts at one step before others come first."""
 
@@ -193,6 +202,12 @@ class WorkcellBlocks:
         self.pose = np.zeros((count, 7))
         """float64[N, 7]: position [m] and quaternion (w, x, y, z) of the frame of its shape, as it
         is believed."""
+        self.spread = np.zeros((count, 2))
+        """float64[N, 2]: standard deviations of where they are [m] and of how they are turned
+        [rad], each along the axis where it is largest."""
+        self.table = np.zeros(3)
+        """float64[3]: how the table is believed to be: its height at the origin [m], and by how
+        much it leans about x and y [rad]."""
         self.state = [STOCK] * count
         self.source: list[int | None] = [None] * count
         """Where each is taken from."""
@@ -228,15 +243,34 @@ class WorkcellBlocks:
         self.names.append(self.names[piece])
         self.names[piece] = f"{kind}/{len(self.pieces)}"
         self.pose = np.vstack([self.pose, self.pose[piece]])
+        self.spread = np.vstack([self.spread, self.spread[piece]])
         self.beside = np.vstack([self.beside, np.zeros(3)])
         self.state.append(STOCK)
         self.source.append(None)
         self.hide(len(self.pieces) - 1)
         return len(self.pieces) - 1
 
+    @property
+    def placing(self) -> float:
+        """Standard deviation of where a block will stand that is placed next [m]."""
+        return PLACED if self.spread.any() else 0.0
+
     def presented(self, piece: int, source: int) -> np.ndarray:
         """float64[7]: the pose at which a source presents a block."""
         return self.pieces[piece].waiting(self.job.sources[source].pose)
+
+    def resting(self, piece: int) -> np.ndarray:
+        """float64[7]: where a block lies, on the face on which it waits or stands where it seems to
+        lean by no more than :data:`FLUSH`: it rests on it, and a tool that takes it lies flush."""
+        pose, one = self.pose[piece].copy(), self.pieces[piece]
+        now, up = quaternion_matrix(pose[3:]), on_table(self.table, np.array([0.0, 0.0, 1.0]))
+        up -= [0.0, 0.0, self.table[0]]
+        for turn in (one.rest, one.turn):
+            across = np.cross(now @ turn[2], up)
+            if np.linalg.norm(across) < FLUSH and now @ turn[2] @ up > 0:
+                pose[3:] = matrix_quaternion(rotation_of(across) @ now)
+                break
+        return pose
 
     def hide(self, piece: int) -> None:
         """The block lies in its magazine, under the table, or is kept elsewhere."""
@@ -252,12 +286,21 @@ class WorkcellBlocks:
             (n for n, s in enumerate(self.job.sources) if s.magazine and s.shape == shape), None
         )
 
-    def target(self, piece: int) -> np.ndarray:
-        """float64[7]: the pose it has in the finished structure, or beside it where it is built
-        there."""
+    def drawn(self, piece: int) -> np.ndarray:
+        """float64[7]: the same on a table that is as it should be."""
         pose = self.pieces[piece].pose.copy()
         pose[:3] += self.beside[piece]
         return pose
+
+    def target(self, piece: int) -> np.ndarray:
+        """float64[7]: the pose it has in the finished structure, or beside it where it is built
+        there, on the table as it is believed to be."""
+        pose = self.drawn(piece)
+        if not self.table.any():
+            return pose
+        place, turn = pose[:3], quaternion_matrix(pose[3:])
+        place, *axes = on_table(self.table, np.vstack([place, place + turn.T]))
+        return np.array([*place, *matrix_quaternion((np.array(axes) - place).T)])
 
     def together(self, piece: int) -> np.ndarray:
         """bool[N]: which pieces belong to the same part of the structure now: what is built beside
@@ -275,6 +318,13 @@ class WorkcellBlocks:
             out.append(tuple(range(count, count + len(piece.shape))))
             count += len(piece.shape)
         return out
+
+
+def on_table(table: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """float64[..., 3]: points that are meant on the table of the world, on one that is as
+    :attr:`WorkcellBlocks.table` says [m]."""
+    lean = rotation_of(np.array([table[1], table[2], 0.0]))
+    return points @ lean.T + [0.0, 0.0, table[0]]
 
 
 class Rows(NamedTuple):
@@ -332,6 +382,7 @@ def rows_of(
         np.array(density, float),
         np.array(turn),
         hull if any(hull) else None,
+        table=(float(world.table[0]), float(world.table[1]), float(world.table[2])),
     )
     return Rows(scene, np.array(owner, np.int64), np.array(part, np.int64))
 

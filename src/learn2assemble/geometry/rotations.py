@@ -145,3 +145,17 @@ def rotation_vector(a, b, out):
             x, y, z = 0.5 * (xz + zx), 0.5 * (yz + zy), zz + 1
         factor = angle / np.sqrt(x * x + y * y + z * z)
         out[0], out[1], out[2] = factor * x, factor * y, factor * z
+
+
+def rotation_of(vector: np.ndarray) -> np.ndarray:
+    """float64[3, 3]: the turn about a vector by its length [rad]."""
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-12:
+        return np.eye(3) + _cross(vector)
+    across = _cross(vector / angle)
+    return np.eye(3) + math.sin(angle) * across + (1 - math.cos(angle)) * across @ across
+
+
+def _cross(v: np.ndarray) -> np.ndarray:
+    x, y, z = v.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -235,6 +235,9 @@ class ArmReport:
     can tell [m]."""
     overlap: Annotated[float, Range(-1e3, 1e3)] | None = None
     """By which two blocks overlap at most at the end [m]; not above 0: they do not."""
+    error_on_table: Metre | None = None
+    """Largest distance of a block from its place on the table as it really is, where a simulation
+    has one that is higher, lower or leans [m]."""
     motion_fault: str | None = None
     """Why no robot is to be given the recorded motion, if it is not sound; the build is as it is
     told."""

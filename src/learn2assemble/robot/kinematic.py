@@ -35,7 +35,7 @@ from learn2assemble.robot.moves import (
     turned,
     turns,
 )
-from learn2assemble.robot.scene import keep_meshes, reshape, rotation_matrix
+from learn2assemble.robot.scene import keep_meshes, reshape, rotation_matrix, table_pose
 
 SHRINK = 0.001
 """What is carried counts as this much smaller on every side [m], so that resting on a block or
@@ -144,6 +144,8 @@ class BlockChecker(CollisionChecker):
     def place(self, scene: Scene) -> None:
         """Put the blocks where the cells of ``scene`` are."""
         n, d, m = len(scene.position), self.data, self.model
+        table = m.body("table").id
+        m.body_pos[table], m.body_quat[table] = table_pose(scene.table)
         if self.sized:
             reshape(m, self._boxes[:n], scene.halves, scene.hull)
         else:

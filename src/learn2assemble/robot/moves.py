@@ -66,6 +66,10 @@ GAP = 0.01
 """Between horizontal neighbours on the lattice of the robot cell [m]."""
 
 
+LEVEL_TABLE = (0.0, 0.0, 0.0)
+"""A table as it should be, see :attr:`Scene.table`."""
+
+
 class Scene(NamedTuple):
     """Convex solids on the table, in the world frame; the placed ones first.
 
@@ -93,6 +97,8 @@ class Scene(NamedTuple):
     """Of each cell about its centre, where it is no box; None: all are boxes."""
     studs: Studs | None = None
     """Joints of studs between its cells, in a simulation; None: they only lie on one another."""
+    table: tuple[float, float, float] = LEVEL_TABLE
+    """How high the table is at the origin [m], and by how much it leans about x and y [rad]."""
 
     @property
     def halves(self) -> np.ndarray:

@@ -18,6 +18,7 @@ import numpy as np
 
 from learn2assemble.constants import FRICTION, GRAVITY, MASS
 from learn2assemble.geometry.hulls import Hull
+from learn2assemble.geometry.rotations import matrix_quaternion, rotation_of
 
 mujoco.set_mju_user_warning(logging.getLogger("learn2assemble.mujoco").warning)
 
@@ -168,6 +169,17 @@ _OF_A_SHAPE = (
     "geom_aabb",
     "geom_rbound",
 )
+
+
+def table_pose(table: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Position float64[3] [m] and quaternion float64[4] of a table.
+
+    Args:
+        table: see :attr:`~learn2assemble.robot.moves.Scene.table`.
+    """
+    height, about_x, about_y = table
+    turn = matrix_quaternion(rotation_of(np.array([about_x, about_y, 0.0])))
+    return np.array([0.0, 0.0, height]), np.array(turn)
 
 
 def set_contact(geom: mujoco.MjsGeom, surface: ContactSurface | None) -> None:

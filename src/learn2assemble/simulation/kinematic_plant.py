@@ -218,7 +218,7 @@ class KinematicPlant(SimulatedCell):
         if self.arm.suction is not None:
             lips = [(np.array(c.lip.axis), np.array(c.lip.at)) for c in self.arm.suction.cups]
         for axis, at in lips:
-            name = nearest(self.things, point + turn @ at, REACH)
+            name = nearest(self.things, [point + turn @ at], REACH)
             if name is not None:
                 pose = self.things[name].pose
                 rotation = turn.T @ quaternion_matrix(pose[3:])

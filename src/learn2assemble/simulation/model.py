@@ -52,6 +52,7 @@ from learn2assemble.robot.scene import (
     rotation_matrix,
     set_contact,
     set_options,
+    table_pose,
 )
 
 TIMESTEP = 0.002
@@ -129,6 +130,7 @@ def group(
     quaternion: np.ndarray,
     free: np.ndarray | None = None,
     goal: tuple[np.ndarray, np.ndarray] | None = None,
+    thinner: float = SHRINK,
 ) -> Objects:
     """Objects of a scene.
 
@@ -137,6 +139,7 @@ def group(
         quaternion: float64[n, 4], their orientations.
         free: bool[n], cells of objects that can move; by default all.
         goal: int64[m], cells that are moved, and float64[m, 4], the orientations they shall have.
+        thinner: by how much boxes of given size are on their upright sides [m].
     """
     if free is None:
         free = np.ones(len(scene.position), bool)
@@ -148,7 +151,7 @@ def group(
     standing = quaternion.copy()
     if goal is not None:
         standing[goal[0]] = goal[1]
-    half = _thinner(scene, standing)
+    half = _thinner(scene, standing, thinner)
     for first in lead:
         cells = np.flatnonzero(owner == owner[first])
         turn = rotation_matrix(quaternion[first])
@@ -196,12 +199,12 @@ def _sized(scene: Scene, cells: np.ndarray, centre: np.ndarray, half: np.ndarray
     return found
 
 
-def _thinner(scene: Scene, quaternion: np.ndarray) -> np.ndarray:
+def _thinner(scene: Scene, quaternion: np.ndarray, by: float) -> np.ndarray:
     """float64[n, 3]: half extents of the cells, boxes thinner along axes that are level [m], and
     along all where studs join them: what a joint bears is not borne by faces, too."""
     axes = quaternion_matrix(quaternion)[:, 2]
     lower = 0.0 if scene.studs is None else STUD_SHRINK
-    return scene.halves - np.where(np.abs(axes) < UPRIGHT, SHRINK, lower)
+    return scene.halves - np.where(np.abs(axes) < UPRIGHT, by, lower)
 
 
 PRESS = 0.004
@@ -413,6 +416,13 @@ def hold_still(world: SimulatedWorld, objects: Objects) -> None:
         model.body_quat[bodies[:count]] = objects.still[:, 3:]
         geoms = model.body_geomadr[bodies[:count]]
         reshape(model, geoms, objects.still_half, objects.still_hull)
+
+
+def lean_table(model: mujoco.MjModel, table: tuple[float, float, float]) -> None:
+    """The table of a model is as :attr:`~learn2assemble.robot.moves.Scene.table` says."""
+    geom = model.geom("table").id
+    model.geom_sameframe[geom] = 0  # It is not where its body is.
+    model.geom_pos[geom], model.geom_quat[geom] = table_pose(table)
 
 
 def set_held(world: SimulatedWorld, held: int | None) -> None:

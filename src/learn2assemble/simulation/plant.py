@@ -34,11 +34,13 @@ from learn2assemble.simulation.simulation import BLIND, Simulation, Trace
 from learn2assemble.simulation.things import SimulatedCell, check_motion, nearest
 
 AIM = 0.03
-"""The empty tool is about to take what is within this of where it goes [m]."""
+"""The empty tool is about to take what is within this of where its cups, or pads, go [m]."""
 LONGEST_REST = 2.0
 """Blocks that somebody has touched are left alone for so long at most [s]."""
 MOVING = 1e-3
 """What moves faster stays free [m/s], [rad/s]."""
+THINNER = 0.0
+"""How much thinner boxes are on their upright sides [m]."""
 OBSTACLE = "an obstacle"
 NOBODY = -9
 
@@ -163,7 +165,9 @@ class DynamicPlant(SimulatedCell):
         sim, chain = self.bench.sim, get_chain(self.arm)
         point, turn = forward(chain, motion.joints[-1])
         held = self._held()
-        aim = held or nearest(self.things, point, AIM)
+        cups = () if self.arm.suction is None else self.arm.suction.cups
+        lips = [point + turn @ np.array(cup.lip.at) for cup in cups]
+        aim = held or nearest(self.things, lips or [point], AIM)
         if aim is None:
             return
         scene, rows = self._scene()
@@ -233,7 +237,7 @@ class DynamicPlant(SimulatedCell):
         mask = np.zeros(len(scene.position), bool)
         for name in free:
             mask[rows[name]] = True
-        objects = group(scene, scene.orientation, mask)
+        objects = group(scene, scene.orientation, mask, thinner=THINNER)
         of_row = {int(row): name for name, cells in rows.items() for row in cells}
         self.number = {name: int(objects.owner[rows[name][0]]) for name in sorted(free)}
         self.offset, self.turn = {}, {}

@@ -292,6 +292,9 @@ SLIP = 0.01
 """What is held has been lost when it has moved so far in the hand [m]."""
 HOLDS = 0.5
 """Both fingers press what is in the hand with this much at least [N]: half a block's weight."""
+LOOSE = 3
+"""Looks in a row, 20 ms apart, at which they do not, before what is held counts as lost: between
+boxes that are nearly parallel MuJoCo misses the contact for some steps at times."""
 BLOCK = 10
 """Steps whose commands are computed at once; also between two looks at what need not be seen
 at once."""
@@ -355,6 +358,8 @@ class Simulation:
         """Whether it is known at once when what is held moves between the pads; else only when
         they press no more."""
         self._grip: np.ndarray | None = None
+        self._loose = 0
+        """Looks in a row at which the pads did not press."""
         if not trace.begun:
             self._record()
 
@@ -502,8 +507,10 @@ class Simulation:
             if self.feels_slip:
                 moved = np.linalg.norm(self.in_hand() - self._grip)
                 lost = f"{name} moved by {1e3 * moved:.0f} mm in the hand" if moved > SLIP else ""
-            elif self.cup is None and self.contacts.grip(self.arm.gripper.pads) < HOLDS:
-                lost = "the fingers hold nothing any more"
+            elif self.cup is None:
+                pressed = self.contacts.grip(self.arm.gripper.pads) >= HOLDS
+                self._loose = 0 if pressed else self._loose + 1
+                lost = "the fingers hold nothing any more" if self._loose >= LOOSE else ""
         if lost:
             return Failure(Outcome.GRASP_LOST, self.stage, lost)
         return True if until is not None and until() else None

@@ -178,6 +178,10 @@ class SimulatedCell:
         """float64[7]: where every block really is; for reports of a simulation only."""
         return {name: thing.pose.copy() for name, thing in self.things.items()}
 
+    def shapes(self) -> dict[str, Shape]:
+        """What every block really is; for reports of a simulation only."""
+        return {name: thing.kind.shape for name, thing in self.things.items()}
+
     def state(self) -> dict[str, Any]:
         """All there is, so that a simulation can go on in another process."""
         return {
@@ -211,15 +215,16 @@ def bounds(thing: Thing) -> tuple[np.ndarray, np.ndarray]:
     return thing.pose[:3] + points.min(0), thing.pose[:3] + points.max(0)
 
 
-def nearest(things: dict[str, Thing], point: np.ndarray, within: float) -> str | None:
-    """The block whose surface, or inside, is nearest to a point float64[3], if it is ``within`` [m]
-    of it."""
+def nearest(things: dict[str, Thing], points: list[np.ndarray], within: float) -> str | None:
+    """The block whose surface, or inside, is nearest to one of these points float64[3], if it is
+    ``within`` [m] of it."""
     best, found = within, None
     for name, thing in sorted(things.items()):
-        local = quaternion_matrix(thing.pose[3:]).T @ (point - thing.pose[:3])
+        local = (np.array(points) - thing.pose[:3]) @ quaternion_matrix(thing.pose[3:])
         for part in thing.kind.shape:
             solid = part.solid
-            away = float((solid.normals @ (local - np.array(part.centre)) - solid.offsets).max())
+            beyond = (local - np.array(part.centre)) @ solid.normals.T - solid.offsets
+            away = float(beyond.max(1).min())
             if away < best:
                 best, found = away, name
     return found
