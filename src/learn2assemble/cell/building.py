@@ -40,6 +40,7 @@ from learn2assemble.cell.workcell import (
 )
 from learn2assemble.motion.checked import Checked
 from learn2assemble.motion.plant import Plant, PlantError, Request, Stop, standing
+from learn2assemble.progress import Detail
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Move, Outcome, carried
 
@@ -148,9 +149,10 @@ class Building:
             piece = self.world.pieces[action.block]
             left = sum(not self.known.satisfied(step) for step in self.known.order)
             how = "by hand" if last.hand else f"attempt {last.number}"
-            progress(
+            text = (
                 f"{how}: {last.what} {piece.id} ({piece.name}): {last.outcome}, {left} steps left"
             )
+            progress(Detail(text) if last.outcome == "reached" else text)
         return f"given up after {most} attempts"
 
     # ------------------------------------------------------------ one attempt

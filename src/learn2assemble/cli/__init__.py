@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None, program: CommandLine = L2A) -> 
         with Heartbeat("working", seconds or None) as heartbeat:
             if options.learns:
                 require(("torch", "learn", ""))
-            code = int(options.run(options, Output(options.json, heartbeat)) or 0)
+            code = int(options.run(options, Output(options.json, heartbeat, options.verbose)) or 0)
         sys.stdout.flush()
         return code
     except InputError as error:

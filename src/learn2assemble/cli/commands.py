@@ -335,7 +335,7 @@ def _print_arm(output: Output, arm: ArmReport) -> None:
         after = "; the rest was planned anew" if failure.replanned else ""
         output.say(f"attempt {failure.attempt}: {failure.outcome} ({failure.detail}){after}")
     where = f" at [{', '.join(f'{v:g}' for v in arm.base[:3])}]" if arm.base else ""
-    places = f"blocks from {arm.places} places, " if arm.places else ""
+    places = f"blocks from {arm.places} place{'s'[: arm.places != 1]}, " if arm.places else ""
     output.say(
         f"arm {arm.name} with {arm.tool}{where}: {arm.attempts} attempts, {places}"
         f"{arm.seconds:.0f} s of robot time"

@@ -20,6 +20,9 @@ from learn2assemble.progress import Detail
 QUIET = 1.5
 """So long nothing may be shown on a terminal before a line says what is going on [s]."""
 
+SELDOM = 10.0
+"""How far a phase has come is written to a file or a pipe after so long [s]."""
+
 
 class Heartbeat:
     """A line on a terminal that says what is going on, for how long, and what time is left.
@@ -87,12 +90,15 @@ class Output:
     Args:
         as_json: tables go to standard error, :meth:`finish` prints to standard output.
         heartbeat: is told of everything that is shown.
+        verbose: how far a phase has come is a line each time.
     """
 
-    def __init__(self, as_json: bool, heartbeat: Heartbeat | None = None) -> None:
+    def __init__(
+        self, as_json: bool, heartbeat: Heartbeat | None = None, verbose: bool = False
+    ) -> None:
         from rich.console import Console  # not needed for help and refusals
 
-        self.as_json = as_json
+        self.as_json, self.verbose, self._detailed = as_json, verbose, time.monotonic()
         self.heartbeat = heartbeat or Heartbeat("")
         self.console = Console(stderr=as_json, highlight=False, soft_wrap=True)
         if not self.console.is_terminal and "COLUMNS" not in os.environ:
@@ -110,10 +116,15 @@ class Output:
 
     def progress(self, text: str) -> None:
         """One line on standard error: what begins, or has been reached."""
-        if isinstance(text, Detail) and sys.stderr.isatty():
-            # The heartbeat shows it until the next one, and the time that is left where it has it.
-            self.heartbeat.phase = str(text) if self.heartbeat.limit is None else text.what
-            return
+        if isinstance(text, Detail) and not self.verbose:
+            now = time.monotonic()
+            if sys.stderr.isatty():
+                # The heartbeat shows it until the next one, and the time left where it has it.
+                self.heartbeat.phase = str(text) if self.heartbeat.limit is None else text.what
+                return
+            if now - self._detailed < SELDOM:
+                return
+            self._detailed = now
         self.heartbeat.clear(text)
         sys.stderr.write(f"l2a: {as_options(text)}\n")
         sys.stderr.flush()

@@ -297,5 +297,10 @@ def make_parser(words: Sequence[str] = (), program: CommandLine = L2A) -> argpar
             action="store_true",
             help="end standard output with one JSON object; all else goes to standard error",
         )
+        added.add_argument(
+            "--verbose",
+            action="store_true",
+            help="a line for everything that is tried, as every attempt of an arm",
+        )
         added.set_defaults(run=command.run, learns=command.learns)
     return parser

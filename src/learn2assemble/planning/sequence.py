@@ -16,6 +16,7 @@ from typing import Generic, Literal, NamedTuple, Protocol, TypeVar
 
 from learn2assemble.assembly.blocks import Block
 from learn2assemble.linear_programs import Clock
+from learn2assemble.progress import Detail
 from learn2assemble.statics.laws import Law
 from learn2assemble.statics.states import State
 
@@ -155,7 +156,7 @@ def depth_first(
         left = rules.left(move)
         if left < fewest:
             best, fewest = list(path), left
-            progress(f"{most[0] - left[0]} of {most[0]} blocks in order")
+            progress(Detail(f"{most[0] - left[0]} of {most[0]} blocks in order"))
         queue.append(rules.moves(move))
     return FoundOrder(best, best[-1] if best else rules.first, not any(fewest))
 

@@ -92,7 +92,7 @@ def _commit() -> str:
     try:
         git(["git", "ls-files", "--error-unmatch", here.name])
         commit = git(["git", "rev-parse", "--short", "HEAD"]).stdout.strip()
-        changed = git(["git", "diff", "--name-only", "HEAD", "--", ":/src", ":/laboratory/src"])
+        changed = git(["git", "status", "-s", "-uno", "--", ":/src", ":/laboratory/src"])
         return commit + (" and changes" if changed.stdout.strip() else "")
     except (OSError, subprocess.SubprocessError):
         return f"version {_version()}, code {_fingerprint(here.parents[2])}"
