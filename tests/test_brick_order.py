@@ -15,12 +15,16 @@ from brick_data import bricks
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, box_block
 from learn2assemble.assembly.bricks.lattice import GROUND, StudLattice
 from learn2assemble.assembly.files import read_assembly, write_assembly
+from learn2assemble.assembly.instructions import instructions
+from learn2assemble.assembly.joints import DRY
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError
 from learn2assemble.export.cards import step_cards
+from learn2assemble.export.pictures import booklet
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.statics.holding import Push, balance_of
+from learn2assemble.viewer.scene import block_parts, scene_data
 
 SAMPLES = [n for n, d in brick_data.designs().items() if "StableLego" not in d["source"]]
 BRIDGE = bricks(((2, 4), (0, 0, 0)), ((2, 4), (0, 3, 1)), ((2, 4), (0, 6, 2)))
@@ -221,6 +225,32 @@ def test_cards_say_whence_a_brick_comes(tmp_path: Path) -> None:
     assert read_assembly(tmp_path / "hook.json").steps == plan.assembly.steps
     with pytest.raises(InputError, match="way"):
         AssemblyStep(place="b1", way="under")  # pyright: ignore[reportArgumentType]
+
+
+def test_bricks_are_drawn_with_knobs_and_several_are_one_step() -> None:
+    below = [((2, 2), (2 * k, 0, 0)) for k in range(8)]
+    wall = bricks(*below, ((2, 4), (0, 0, 1)), ((1, 2), (15, 0, 1)))
+    plan = plan_assembly(wall)
+    assert plan.assembly is not None
+    told = instructions(plan.assembly)
+    # Bricks of one layer that follow one another, however they stand.
+    assert [len(group.placements) for group in told.groups] == [6, 2, 2]
+    numbers = [p.number for p in told.placements]
+    assert numbers == sorted(numbers)
+    book = booklet(plan.assembly)
+    assert "In the order of their numbers." in book.cards[0].words[0]
+    # Side and top of each knob.
+    rims = {
+        len(book.scene.figures[use.name].rims) for card in book.cards for use in card.picture.uses
+    }
+    assert rims == {2 * 4, 2 * 8, 2 * 2}
+    parts, shapes, layers = block_parts(plan.assembly)
+    data = scene_data(parts, shapes, layers, 10, plan.assembly.joint)
+    assert sorted(map(len, data["knobs"])) == [2, 4, 8]
+    assert data["knobs"][0] == [[0.004, 0.004], [0.004, 0.012], [0.012, 0.004], [0.012, 0.012]]
+    dry = replace(plan.assembly, joint=DRY)
+    assert scene_data(*block_parts(dry), 10, dry.joint)["knobs"] == [[], [], []]
+    assert not any(figure.rims for figure in booklet(dry).scene.figures)
 
 
 def test_the_command_line_builds_brick_text(

@@ -165,6 +165,11 @@ class Instructions:
     groups: tuple[Group, ...]
 
     @property
+    def in_order(self) -> bool:
+        """Whether blocks of one step are placed in the order of their numbers, not in any."""
+        return self.assembly.joint.law == "clutch"
+
+    @property
     def bill(self) -> list[BillLine]:
         """What is needed of every shape."""
         built: Counter[str] = Counter()
@@ -216,8 +221,9 @@ def instructions(assembly: Assembly) -> Instructions:
 
     Several blocks are one step where nothing is at stake: blocks of one layer that follow one
     another in the order of building, none of them a prop, each carried straight down to the ground,
-    so that whatever is placed first stands. At most :data:`MOST_TOGETHER`. All others are steps of
-    their own. Blocks without steps are told one by one in the order they are given.
+    so that whatever is placed first stands. Bricks that clutch are one step wherever they are in a
+    layer, as they are placed in the order that is proven. At most :data:`MOST_TOGETHER`. All others
+    are steps of their own. Blocks without steps are told one by one in the order they are given.
     """
     finished = np.concatenate([block.vertices for block in assembly.finished.blocks])
     origin, high = finished.min(0), finished.max(0)
@@ -259,11 +265,12 @@ def _groups(
     by_hand = {number for number, step in enumerate(assembly.steps, 1) if step.by_hand}
     ways = {number: step.way for number, step in enumerate(assembly.steps, 1) if step.way}
     together: list[list[tuple[int, int, Action]]] = []
-    free = False
+    free, clutches = False, assembly.joint.law == "clutch"
     for number, (index, action) in enumerate(steps, 1):
         block = assembly.blocks[index]
         alone = action != "place" or block.prop or number in by_hand or number in ways
-        alone = alone or not upright[index]
+        # Bricks come in the proven order, so nothing is at stake however they stand.
+        alone = alone or not (upright[index] or clutches)
         last = together[-1][-1][1] if together else index
         joins = free and not alone and abs(heights[index] - heights[last]) <= 1e-4
         if joins and len(together[-1]) < MOST_TOGETHER:

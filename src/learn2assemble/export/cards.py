@@ -187,7 +187,9 @@ class _CardPen:
             )
             edges = "".join(self.path(edge, close=False) for edge in figure.edges)
             found.append(f'<path id="e{number}" d="{edges}"/>')
-            found.append(f'<g id="f{number}">{faces}<use class=l href="#e{number}"/></g>')
+            rims = "".join(self.path(rim) for rim in figure.rims)
+            rims = rims and f'<path class=l d="{rims}"/>'
+            found.append(f'<g id="f{number}">{faces}{rims}<use class=l href="#e{number}"/></g>')
         return "".join([*found, *self.grid_text])
 
     def style(self) -> str:

@@ -297,7 +297,8 @@ class _Pages:
                 canvas.setFillColorRGB(*(paint * light).round(3).tolist())
                 canvas.drawPath(path, stroke=0, fill=1)
             line = _LINES[colour or ""] if outline else _RIM
-            self._lines(figure.edges, _FORM, np.zeros(2), line, None)
+            rims = () if outline else [np.vstack([rim, rim[:1]]) for rim in figure.rims]
+            self._lines([*figure.edges, *rims], _FORM, np.zeros(2), line, None)
             canvas.endForm()
         self.wanted.clear()
 
@@ -316,9 +317,10 @@ class _Pages:
             self.canvas.setLineWidth(width)
         path = self.canvas.beginPath()
         for line in lines:
-            (ax, ay), (bx, by) = (line * scale + shift).round(2)
-            path.moveTo(ax, ay)
-            path.lineTo(bx, by)
+            start, *others = (line * scale + shift).round(2).tolist()
+            path.moveTo(*start)
+            for point in others:
+                path.lineTo(*point)
         self.canvas.drawPath(path, stroke=1, fill=0)
 
     def _arrow(self, start: np.ndarray, end: np.ndarray) -> None:

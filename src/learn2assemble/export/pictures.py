@@ -269,7 +269,7 @@ def _words(
         end = f" until step {until[first.block]}" if first.block in until else ""
         words.append(f"A prop: it stands only for a while{end}.")
     if len(numbers) > 1:
-        words.append("In any order.")
+        words.append("In the order of their numbers." if told.in_order else "In any order.")
     others = sorted(group.held - {p.block for p in group.placements})
     if others:
         words.append(f"Still in a hand: {', '.join(told.assembly.blocks[k].id for k in others)}.")
@@ -332,7 +332,7 @@ def _shape_pictures(told: Instructions, scene: DrawnScene) -> list[tuple[BlockSh
     found = []
     for shape in (line.shape for line in told.bill):
         block = Block(shape.letter, shape.corners, shape.faces)
-        alone = DrawnScene(instructions(Assembly((block,))))
+        alone = DrawnScene(instructions(Assembly((block,), joint=told.assembly.joint)))
         uses = tuple(Use(_adopt(scene, d.figure), d.at, shape.colour) for d in alone.drawn)
         labels = ()
         if not shape.is_box and len(shape.corners) <= 12:

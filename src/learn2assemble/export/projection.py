@@ -6,8 +6,10 @@ import heapq
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from learn2assemble.assembly.blocks import Block
+from learn2assemble.assembly.bricks.knobs import HEIGHT, RADIUS, knobs_on
 from learn2assemble.assembly.instructions import Group, Instructions
 from learn2assemble.assembly.parts import convex_parts
 
@@ -17,6 +19,8 @@ TOWARDS = _TOWARDS / np.linalg.norm(_TOWARDS)
 RIGHT = np.array([-TOWARDS[1], TOWARDS[0], 0]) / np.hypot(*TOWARDS[:2])
 UP = np.cross(TOWARDS, RIGHT)
 _LIGHT = np.array([-0.35, -0.6, 0.95])
+_ROUND, _SIDE = 12, 0.75
+"""Corners of the ends of a knob, and how light it is at its side."""
 _TOUCH = 1e-5
 """Blocks that reach into one another by less are side by side [m]."""
 WHOLE, NEAR = 120, 24
@@ -31,6 +35,8 @@ class Figure:
     """float64[n, 2] [m, y up], and how light it is, 0 to 1."""
     edges: tuple[np.ndarray, ...]
     """float64[2, 2] each [m]."""
+    rims: tuple[np.ndarray, ...]
+    """Outlines of knobs, float64[n, 2] each [m]."""
     frame: np.ndarray
     """float64[2, 2]: lowest and highest point [m]."""
 
@@ -61,7 +67,7 @@ class DrawnScene:
         sizes = [np.ptp(b.vertices, axis=0).min() for b in assembly.blocks]
         self.usual = float(np.median(sizes))
         """Size of a usual block [m], by which drawings choose grid and lines."""
-        known: dict[bytes, int] = {}
+        stud, known = assembly.joint.pitch[0], dict[bytes, int]()
         self.figures: list[Figure] = []
         shapes: dict[tuple, list[tuple[_ConvexPart, int]]] = {}
         parts: list[tuple[int, _ConvexPart, int]] = []
@@ -71,7 +77,7 @@ class DrawnScene:
             if key not in shapes:
                 shapes[key] = []
                 for part in convex_parts(block):
-                    figure = _figure(block, part)
+                    figure = _figure(block, part, knobs_on(block, assembly.joint), stud)
                     content = b"".join(np.round(p, 6).tobytes() for p, _ in figure.faces)
                     content += b"|" + b"".join(np.round(e, 6).tobytes() for e in figure.edges)
                     if content not in known:
@@ -139,7 +145,12 @@ def _normal(corners: np.ndarray) -> np.ndarray:
     return normal / max(float(np.linalg.norm(normal)), 1e-300)
 
 
-def _figure(block: Block, part: Block) -> Figure:
+def _figure(block: Block, part: Block, knobs: np.ndarray, stud: float) -> Figure:
+    """A part of a block, with knobs that begin at float64[k, 3] from its corner [m].
+
+    Args:
+        stud: distance of studs [m].
+    """
     corner = block.vertices.min(0)
     faces = []
     for face in part.faces:
@@ -163,8 +174,19 @@ def _figure(block: Block, part: Block) -> Figure:
         middle = ends.mean(0)
         if part is block or bool(((middle >= low) & (middle <= high)).all()):
             edges.append(project(ends - corner))
-    points = project(part.vertices - corner)
-    return Figure(tuple(faces), tuple(edges), np.array([points.min(0), points.max(0)]))
+    points, rims = [project(part.vertices - corner)], []
+    around = 2 * np.pi * np.arange(_ROUND) / _ROUND
+    circle = RADIUS * stud * np.stack([np.cos(around), np.sin(around), 0 * around], -1)
+    for at in knobs[np.argsort(knobs @ TOWARDS)]:
+        ends = [project(at + circle + (0, 0, up)) for up in (0.0, HEIGHT * stud)]
+        both = np.concatenate(ends)
+        side = both[ConvexHull(both).vertices]
+        faces += [(side, _SIDE), (ends[1], 1.0)]
+        rims += [side, ends[1]]
+        points.append(side)
+    found = np.concatenate(points)
+    frame = np.array([found.min(0), found.max(0)])
+    return Figure(tuple(faces), tuple(edges), tuple(rims), frame)
 
 
 def _far_first(parts: list[_ConvexPart]) -> list[int]:

@@ -119,7 +119,7 @@ def render_assembly_page(
     captions = [f"Start: {count_words(standing, 'block')} in place."]
     captions += [step.caption for step in noted]
     marks = _blamed(plan)
-    data = scene.scene_data(parts, shapes, layers, len(steps))
+    data = scene.scene_data(parts, shapes, layers, len(steps), assembly.joint)
     data |= _plan_data(plan) | {
         "captions": captions,
         "layers": tables.layer_words(_once(parts), layers, noted),

@@ -14,7 +14,9 @@ import numpy as np
 
 from learn2assemble.assembly.appearance import Section, kinds_and_colours, sections
 from learn2assemble.assembly.blocks import Assembly, Block, fan_triangles
+from learn2assemble.assembly.bricks.knobs import HEIGHT, RADIUS, knobs_on
 from learn2assemble.assembly.contacts import Contacts
+from learn2assemble.assembly.joints import DRY, Joint
 from learn2assemble.assembly.parts import to_manifold
 from learn2assemble.viewer.arm import Labels
 from learn2assemble.viewer.html import packed, to_base64
@@ -69,13 +71,18 @@ def cell_labels(
 
 
 def scene_data(
-    parts: Sequence[ScenePart], shapes: Sequence[Block], layers: Sequence[float], steps: int
+    parts: Sequence[ScenePart],
+    shapes: Sequence[Block],
+    layers: Sequence[float],
+    steps: int,
+    joint: Joint = DRY,
 ) -> dict[str, Any]:
     """What the scripts need to draw an assembly: metres, world frame.
 
     Args:
         parts: of :func:`block_parts`, with shapes and layers.
         steps: how many there are.
+        joint: of the assembly, whose blocks may have knobs.
     """
     kinds, colours = _numbered(part.kind for part in parts), _numbered(p.colour for p in parts)
     # Edge of the cube with the volume of a median block [m].
@@ -103,6 +110,8 @@ def scene_data(
         ],
         "holds": [[number, *ends] for number, part in enumerate(parts) for ends in part.holds],
         "covers": side_covers([part.block for part in parts]),
+        "knobs": [knobs_on(block, joint)[:, :2].round(6).tolist() for block in shapes],
+        "knob": [share * joint.pitch[0] for share in (RADIUS, HEIGHT)],
     }
 
 
@@ -117,7 +126,7 @@ def nothing_to_draw(size: float) -> dict[str, Any]:
         "sections": [],
         "widths": [],
     }
-    lists = ("kinds", "colours", "heights", "blocks", "holds", "covers")
+    lists = ("kinds", "colours", "heights", "blocks", "holds", "covers", "knobs")
     return {
         "edge": rounded(size),
         "floor": 0.0,

@@ -1,7 +1,8 @@
 "use strict";
 /* The 3-D view of an assembly. All blocks are one mesh and all their edges one set of lines, so that
-   thousands are drawn in two calls. Sides that are covered by blocks that stand, and edges between
-   such sides, are left out: of a wall that is most of them. */
+   thousands are drawn in two calls, and all knobs are instances of one cylinder. Sides and knobs that
+   are covered by blocks that stand, and edges between such sides, are left out: of a wall that is
+   most of them. */
 function createStage(canvas, data) {
   const edge = data.edge, blocks = readBlocks(data), shapes = readShapes(data.shapes);
   const points = blocks.flatMap(({ shape, at }) => {
@@ -33,6 +34,7 @@ function createStage(canvas, data) {
   mesh.castShadow = true;
   mesh.frustumCulled = edges.frustumCulled = false;
   view.scene.add(mesh, edges);
+  const knobs = addKnobs();
   for (const target of data.targets) addTarget(target);
   for (const goal of data.boxes) addBox(goal);
   for (const mark of data.marks) addMark(mark);
@@ -73,6 +75,7 @@ function createStage(canvas, data) {
     if (arm) {
       arm.group.visible = cut === null;
       mesh.visible = edges.visible = cut !== null;
+      if (knobs) knobs.mesh.visible = mesh.visible;
       if (cut === null) {
         arm.update(now);
         for (const group of Object.values(overlays)) group.visible = false;
@@ -93,7 +96,7 @@ function createStage(canvas, data) {
       write(block, colour === null ? null : lift, colour === null ? "" : shade(colour, colours));
     }
     refresh(moved);
-    if (moved.length) leaveOutCovered();
+    if (moved.length) { leaveOutCovered(); knobs?.place(); }
     const whole = cut === null && now >= end;
     let glass = false;
     for (const [name, group] of Object.entries(overlays)) {
@@ -103,6 +106,7 @@ function createStage(canvas, data) {
     if (material.transparent !== glass) {
       Object.assign(material, { transparent: glass, opacity: glass ? 0.25 : 1, depthWrite: !glass, needsUpdate: true });
       Object.assign(rim, { transparent: glass, opacity: glass ? 0.3 : 1, needsUpdate: true });
+      if (knobs) Object.assign(knobs.mesh.material, { transparent: glass, opacity: glass ? 0.25 : 1, depthWrite: !glass, needsUpdate: true });
       mesh.castShadow = !glass;
     }
     if (count !== standing) view.castShadows(); // Not for every place a block passes on its way.
@@ -224,9 +228,50 @@ function createStage(canvas, data) {
     return faded ? colour.lerp(new THREE.Color(colours.table), 0.6) : colour;
   }
 
+  /* The knobs of all blocks; null where there are none. */
+  function addKnobs() {
+    const first = blocks[0]?.at, over = new Map(), all = [];
+    const key = (...at) => at.map((v, k) => Math.round(1e4 * (v - first[k]))).join();
+    for (const block of blocks) {
+      const [x, y, z] = block.at;
+      for (const [u, v] of data.knobs[block.shape]) over.set(key(x + u, y + v, z), block);
+    }
+    for (const block of blocks) {
+      const [x, y, z] = block.at, top = z + shapes[block.shape].high[2];
+      for (const [u, v] of data.knobs[block.shape]) {
+        all.push({ block, x: x + u, y: y + v, z: top, under: over.get(key(x + u, y + v, top)) });
+      }
+    }
+    if (!all.length) return null;
+    const [radius, height] = data.knob;
+    const made = new THREE.CylinderGeometry(radius, radius, height, 12, 1).rotateX(Math.PI / 2).translate(0, 0, height / 2);
+    const normal = made.attributes.normal.array, light = normal.map((_, k) => lightOn(normal, k - k % 3));
+    made.setAttribute("color", new THREE.Float32BufferAttribute(light, 3));
+    const cylinders = new THREE.InstancedMesh(made, new THREE.MeshBasicMaterial({ vertexColors: true }), all.length);
+    cylinders.setColorAt(0, new THREE.Color());
+    cylinders.frustumCulled = false;
+    view.scene.add(cylinders);
+    const at = cylinders.instanceMatrix.array, paint = cylinders.instanceColor.array;
+    const stands = (block) => block && block.state.endsWith(" 0");
+    function place() {
+      let n = 0;
+      for (const { block, x, y, z, under } of all) {
+        if (!block.state || (stands(block) && stands(under))) continue;
+        at[16 * n] = at[16 * n + 5] = at[16 * n + 10] = at[16 * n + 15] = 1;
+        at[16 * n + 12] = x; at[16 * n + 13] = y; at[16 * n + 14] = z + block.up;
+        block.paint.toArray(paint, 3 * n);
+        n += 1;
+      }
+      cylinders.count = n;
+      cylinders.instanceMatrix.needsUpdate = cylinders.instanceColor.needsUpdate = true;
+    }
+    return { mesh: cylinders, place };
+  }
+
   function write(block, lift, colour) {
     const shape = shapes[block.shape], [x, y, z] = block.at;
     const up = lift === null ? 0 : lift * Math.max(2.5 * edge, 0.35 * (roof - data.floor));
+    Object.assign(block, { up, paint: colour });
     for (const [target, from, source] of [
       [skin.attributes.position.array, block.corner, shape.corners],
       [lines.attributes.position.array, block.end, shape.edges],
@@ -385,6 +430,12 @@ function readBlocks(data) {
   });
 }
 
+/* How light a surface is whose normal begins at a place of an array. */
+function lightOn(normal, from) {
+  const facing = [0.27, -0.57, 0.76].reduce((sum, v, axis) => sum + v * normal[from + axis], 0);
+  return Math.min(0.62 + 0.1 * normal[from + 2] + 0.36 * Math.max(facing, 0), 1);
+}
+
 /* Of every shape: triangles with their normals, edges, and the bounding box. */
 function readShapes({ vertices, triangles, wide, first, faces }) {
   const all = unpack(vertices), raw = bytes(triangles).buffer;
@@ -397,11 +448,8 @@ function readShapes({ vertices, triangles, wide, first, faces }) {
     const made = new THREE.BufferGeometry();
     made.setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
     made.computeVertexNormals(); // Corners are not shared, so every face is flat.
-    const normal = made.attributes.normal.array, sun = [0.27, -0.57, 0.76];
-    const light = Float32Array.from({ length: picks.length }, (_, k) => {
-      const facing = sun.reduce((sum, v, axis) => sum + v * normal[3 * k + axis], 0);
-      return Math.min(0.62 + 0.1 * normal[3 * k + 2] + 0.36 * Math.max(facing, 0), 1);
-    });
+    const normal = made.attributes.normal.array;
+    const light = Float32Array.from({ length: picks.length }, (_, k) => lightOn(normal, 3 * k));
     const extent = (pick, begin) => [0, 1, 2].map((k) =>
       own.reduce((value, v, place) => (place % 3 === k ? pick(value, v) : value), begin));
     const low = extent(Math.min, Infinity), high = extent(Math.max, -Infinity);

@@ -2,7 +2,7 @@
 export {
   AmbientLight, BoxGeometry, BufferGeometry, CanvasTexture, CircleGeometry, Color,
   CylinderGeometry, DirectionalLight, DoubleSide, EdgesGeometry, Float32BufferAttribute, Fog,
-  GridHelper, Group, HemisphereLight, Line, LineBasicMaterial, LineDashedMaterial, LineLoop,
+  GridHelper, Group, HemisphereLight, InstancedMesh, Line, LineBasicMaterial, LineDashedMaterial, LineLoop,
   LineSegments, Mesh, MeshBasicMaterial, MeshLambertMaterial, MeshStandardMaterial, PCFShadowMap,
   PerspectiveCamera, PlaneGeometry, Quaternion, Scene, ShadowMaterial, Shape, ShapeGeometry,
   SphereGeometry, SRGBColorSpace, Vector3, WebGLRenderer,
