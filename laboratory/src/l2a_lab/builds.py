@@ -235,7 +235,7 @@ def _given(what: str, arm: str, tool: str) -> Result:
     """A build of given blocks: every state with its posts, and what is left when all are gone."""
     assembly = _structure(what)
     started = time.process_time()
-    plan = plan_assembly(assembly, supports="posts")
+    plan = plan_assembly(assembly)
     planned = time.process_time()
     done = carry_out(plan, Workcell(arm, tool, hands=True), joint=0.0)
     result = _described(done, planned - started, time.process_time() - planned)

@@ -129,8 +129,6 @@ def blocks_plan(
     if workcell is not None:
         workcell = _for_given(blocks, workcell)  # What no tool can hold is said before planning.
     if workcell is None or not blocks.holds:
-        if workcell is not None and supports == "auto":
-            supports = "posts"  # Of the fewest, which are wide and heavy, a cup loses some.
         plan = plan_assembly(blocks, supports=supports, holds=holds, hands=hands, **given)
         if workcell is None:
             return plan

@@ -29,7 +29,7 @@ from learn2assemble.simulation.bench import Bench
 from learn2assemble.simulation.cell import DynamicCell, WorldForces
 from learn2assemble.simulation.clutch import Clutch
 from learn2assemble.simulation.kinematic_plant import KinematicPlant
-from learn2assemble.simulation.model import TIMESTEP, concerned, group
+from learn2assemble.simulation.model import SHRINK, TIMESTEP, concerned, group
 from learn2assemble.simulation.simulation import BLIND, Simulation, Trace
 from learn2assemble.simulation.things import SimulatedCell, check_motion, nearest
 
@@ -40,7 +40,8 @@ LONGEST_REST = 2.0
 MOVING = 1e-3
 """What moves faster stays free [m/s], [rad/s]."""
 THINNER = 0.0
-"""How much thinner boxes are on their upright sides [m]."""
+"""How much thinner boxes are on their upright sides [m]; bricks that clutch are so by what is
+left free between them."""
 OBSTACLE = "an obstacle"
 NOBODY = -9
 
@@ -237,7 +238,8 @@ class DynamicPlant(SimulatedCell):
         mask = np.zeros(len(scene.position), bool)
         for name in free:
             mask[rows[name]] = True
-        objects = group(scene, scene.orientation, mask, thinner=THINNER)
+        thinner = THINNER if scene.studs is None else SHRINK
+        objects = group(scene, scene.orientation, mask, thinner=thinner)
         of_row = {int(row): name for name, cells in rows.items() for row in cells}
         self.number = {name: int(objects.owner[rows[name][0]]) for name in sorted(free)}
         self.offset, self.turn = {}, {}
