@@ -146,8 +146,8 @@ def change(data: dict[str, Any], *path: Any) -> Callable[[Any], None]:
     ("path", "value", "words"),
     [
         (("format",), "other", "learn2assemble-trajectory"),
-        (("version",), 5, "trajectory.version: got 5, expected 4"),
-        (("version",), 2, "trajectory.version: got 2, expected 4"),
+        (("version",), 6, "trajectory.version: got 6, expected 5"),
+        (("version",), 2, "trajectory.version: got 2, expected 5"),
         (("version",), "3", "trajectory.version"),
         (("arm", "lower"), [0.0], "arm.lower"),
         (("arm", "max_width"), "wide", "arm.max_width"),

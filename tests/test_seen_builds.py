@@ -15,6 +15,8 @@ import learn2assemble as l2a
 from learn2assemble.cell.carry_out import Workcell, carry_out, prepare, setup_of
 from learn2assemble.cell.site import read_site
 from learn2assemble.errors import InputError
+from learn2assemble.motion.errors import block_errors
+from learn2assemble.motion.files import read_record, write_record
 from learn2assemble.motion.plant import Stop
 from learn2assemble.motion.setup import Disturbance, Surroundings
 from learn2assemble.planning.plan import Plan
@@ -67,6 +69,38 @@ def test_a_run_sees_through_them_and_goes_on(tmp_path: Path) -> None:
     assert then.plan.arm is not None
     assert then.plan.arm.belief_error is not None
     assert then.plan.arm.belief_error > 1e-6
+    told_of_errors(then.plan, tmp_path)
+
+
+def told_of_errors(plan: Plan, folder: Path) -> None:
+    """What the record, its file and the page say of belief and truth."""
+    record = plan.record
+    assert record is not None
+    # What was before the interruption is not told any more.
+    assert record.steps[0].truth is None
+    last = record.steps[-1]
+    assert last.truth is not None
+    far = np.linalg.norm((last.truth - last.after)[:, :3], axis=1)
+    assert 1e-6 < far.max() < 2e-3
+    write_record(record, folder / "trajectory.json")
+    again = read_record(folder / "trajectory.json").steps[-1].truth
+    assert again is not None
+    assert np.abs(again - last.truth).max() < 1e-6
+    # Every block is seen 1 mm too far to the left, and the second one stands 2 mm too low.
+    left = np.array([1e-3, 0, 0, 0, 0, 0, 0])
+    one, two = record.steps
+    low = two.after + left
+    low[two.cells[0], :3] = two.target[:3] - [0, 0, 2e-3]
+    steps = replace(one, truth=one.after + left), replace(two, truth=low)
+    first, second = sorted(block_errors(replace(record, steps=steps)), key=lambda e: e.first)
+    assert (first.first, second.first) == (1, 2)
+    assert first.belief == pytest.approx([1e-3, 1e-3])
+    assert second.place == pytest.approx([2e-3])
+    plan.save(folder / "out", video=False)
+    page = (folder / "out" / "view.html").read_text()
+    assert "Belief and truth" in page
+    assert page.count("<figcaption>How far each block really was") == 2
+    assert "where a block really is, errors" in page
 
 
 def test_a_camera_that_is_elsewhere_moves_what_is_built(tmp_path: Path) -> None:

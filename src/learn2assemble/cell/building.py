@@ -86,6 +86,7 @@ class Building:
         words: what the outcomes come from.
         key: what the file it goes on from must have been written for.
         kept: where the plant is a simulation that is kept in that file.
+        witness: called after every attempt; what it keeps is for reports when the build is over.
     """
 
     def __init__(
@@ -96,6 +97,7 @@ class Building:
         words: str = "",
         key: str = "",
         kept: Kept | None = None,
+        witness: Callable[[], None] = lambda: None,
     ) -> None:
         self.job, self.kinematic, self.key, self.kept = found.job, found.cell, key, kept
         self.known = Choice(found.job, found.order, found.structure)
@@ -108,7 +110,7 @@ class Building:
         self.sight = Sight(self.plant, arm, self.world, workcell.touch)
         self.sight.pause = self._pause
         self.attempts = Attempts(self.job, self.plant, self.sight, self.recorded)
-        self.stopped = Stop.END
+        self.witness, self.stopped = witness, Stop.END
         """Why the plant ended the build, where it did."""
         self.joints = self._where(arm.home)
         self.recording = Recording(self.world, self.joints, words)
@@ -218,6 +220,7 @@ class Building:
                 move.grasp.sideways,
             )
         )
+        self.witness()
         self.known.fails[key] = 0 if came.reached else self.known.fails[key] + 1
         self.known.refused.clear()
         self._append()

@@ -14,7 +14,7 @@ from learn2assemble.cell.bricks import BrickStructure
 from learn2assemble.cell.building import Building, Kept, Prepared
 from learn2assemble.cell.cameras import through_cameras
 from learn2assemble.cell.reach import cells_of, set_up
-from learn2assemble.cell.report import arm_report, carried_out, words_of
+from learn2assemble.cell.report import Witness, arm_report, carried_out, words_of
 from learn2assemble.cell.taking_apart import arrange_bricks, plan_in_order
 from learn2assemble.cell.workcell import (
     OBSTACLE_DENSITY,
@@ -121,13 +121,14 @@ def carry_out(
     kept = None
     if hasattr(seen, "state") and hasattr(seen, "restore"):
         kept = Kept(seen.state, seen.restore)  # pyright: ignore[reportAttributeAccessIssue]
-    words = words_of(job, workcell)
+    words, witness = words_of(job, workcell), Witness(plant)
     try:
-        building = Building(found, workcell, seen, words, key_of(plan, workcell), kept)
+        building = Building(found, workcell, seen, words, key_of(plan, workcell), kept, witness)
     except PlantError as error:
         return replace(plan, status="incomplete", reason=str(error), steps=(), coverage=0.0)
     reason = building.run(progress)
-    return carried_out(plan, building, workcell, reason, time.perf_counter() - started, plant)
+    took = time.perf_counter() - started
+    return carried_out(plan, building, workcell, reason, took, plant, witness)
 
 
 def setup_of(job: Job, workcell: Workcell, structure: Structure | None = None) -> Setup:

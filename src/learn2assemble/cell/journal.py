@@ -11,6 +11,7 @@ import base64
 import dataclasses
 import json
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -204,6 +205,17 @@ class Recording:
         self.body.append(self.body[k])
         self.body[k] = len(self.cells) - 1
         return spare
+
+    def cells_at(self, poses: Mapping[str, np.ndarray], otherwise: np.ndarray) -> np.ndarray:
+        """float64[C, 7]: poses of all cells, of blocks that are at poses float64[7] by their names;
+        of others as they are ``otherwise``."""
+        found = otherwise.copy()
+        for name, body, piece in zip(self.world.names, self.body, self.world.pieces, strict=True):
+            if name in poses:
+                pose, turn = poses[name], quaternion_matrix(poses[name][3:])
+                for cell, part in zip(self.cells[body], piece.shape, strict=True):
+                    found[cell] = [*(pose[:3] + turn @ np.array(part.centre)), *pose[3:]]
+        return found
 
     def state(self) -> dict[str, Any]:
         """What a file says of it, besides the steps."""

@@ -22,6 +22,9 @@ from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import solids
 from learn2assemble.robot.moves import Outcome
 
+EXACT = 1e-6
+"""Poses that differ by less are the same [m]."""
+
 
 def words_of(job: Job, workcell: Workcell) -> str:
     """What the outcomes of a build come from."""
@@ -76,6 +79,23 @@ def arm_report(
         overlap=measured.overlap,
         error_on_table=measured.on_table,
     )
+
+
+class Witness:
+    """What a simulation says of itself after every attempt; nobody looks at it before the build is
+    over.
+
+    Args:
+        plant: which may be none that tells.
+    """
+
+    def __init__(self, plant: object) -> None:
+        self.truth = getattr(plant, "truth", None)
+        self.told: list[dict[str, np.ndarray]] = []
+
+    def __call__(self) -> None:
+        if self.truth is not None:
+            self.told.append(self.truth())
 
 
 class Measured(NamedTuple):
@@ -144,6 +164,7 @@ def carried_out(
     reason: str | None,
     seconds: float,
     plant: object,
+    witness: Witness,
 ) -> Plan:
     """The plan with what really happened."""
     job, world = building.job, building.world
@@ -210,11 +231,19 @@ def carried_out(
     record = building.recording.record() if building.recorded else None
     if record is not None:
         numbers = {step: n for n, step in enumerate(done, 1)}
+        # Of a build that was gone on with, what was before it is not told any more.
+        told = [None] * (len(record.steps) - len(witness.told)) + witness.told
         record = replace(
             record,
             steps=tuple(
-                replace(step, plan_step=None if d.what in ASIDE else numbers.get(d.step))
-                for step, d in zip(record.steps, building.known.attempts(), strict=True)
+                replace(
+                    step,
+                    plan_step=None if d.what in ASIDE else numbers.get(d.step),
+                    truth=_really(building, step.after, poses),
+                )
+                for step, d, poses in zip(
+                    record.steps, building.known.attempts(), told, strict=True
+                )
             ),
         )
     return replace(
@@ -233,6 +262,16 @@ def carried_out(
         assembly=assembly,
         **ranges,
     )
+
+
+def _really(
+    building: Building, seen: np.ndarray, poses: dict[str, np.ndarray] | None
+) -> np.ndarray | None:
+    """float64[C, 7]: where all cells really were, None where nobody told or all was seen so."""
+    if poses is None:
+        return None
+    found = building.recording.cells_at(poses, seen)
+    return found if np.abs(found - seen).max() > EXACT else None
 
 
 def _waiting(building: Building) -> tuple[Any, ...]:

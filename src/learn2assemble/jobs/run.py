@@ -17,7 +17,7 @@ import numpy as np
 from learn2assemble.cell.building import Building, Kept, Prepared
 from learn2assemble.cell.cameras import no_pictures, through_cameras
 from learn2assemble.cell.carry_out import key_of, prepare, setup_of
-from learn2assemble.cell.report import carried_out, words_of
+from learn2assemble.cell.report import Witness, carried_out, words_of
 from learn2assemble.cell.site import Site, read_site
 from learn2assemble.cell.state import Action
 from learn2assemble.cell.workcell import MISSING, Workcell
@@ -246,8 +246,8 @@ def _run(
     _check_robot(timed, setup, bool(workcell.log and workcell.log.exists()))
     save, restore = _of(seeing, "state"), _of(seeing, "restore")
     kept = None if save is None or restore is None else Kept(save, restore)
-    words = words_of(job, workcell)
-    building = Building(found, workcell, timed, words, key_of(plan, workcell), kept)
+    words, witness = words_of(job, workcell), Witness(plant)
+    building = Building(found, workcell, timed, words, key_of(plan, workcell), kept, witness)
     known = building.known
     if setup.around.trust_placements:
         _take_away(timed, setup, building)
@@ -261,7 +261,7 @@ def _run(
     before, begun = satisfied(), timed.last
     reason = building.run(progress, go_on)
     took = time.perf_counter() - started
-    done = carried_out(plan, building, workcell, reason, took, plant)
+    done = carried_out(plan, building, workcell, reason, took, plant, witness)
     seconds, placed = max(timed.last - begun, 0.0), satisfied() - before
     return Ran(done, building.stopped, reason, placed, round(seconds, 2), timed.link(plant))
 

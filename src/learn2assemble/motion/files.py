@@ -23,7 +23,7 @@ from learn2assemble.motion.record import ArmFacts, BuildRecord, ByHand, Samples,
 from learn2assemble.robot.moves import STAGES, Outcome
 from learn2assemble.values import integer
 
-FORMAT, VERSION = "learn2assemble-trajectory", 4
+FORMAT, VERSION = "learn2assemble-trajectory", 5
 DECIMALS = 6
 MOST, MOST_JOINT = 1e6, 100.0
 """Largest magnitudes of numbers and of joint angles [rad] in a file."""
@@ -169,6 +169,7 @@ def _step_from(item: Mapping[str, Any], where: str, n: int, cells: int) -> StepR
         samples,
         array("before", cells, 7),
         array("after", cells, 7),
+        None if item["truth"] is None else array("truth", cells, 7),
     )
 
 

@@ -109,7 +109,10 @@ class StepRecord:
     """float64[C, 7]: poses of all cells before the step: x, y, z [m, world], quaternion
     (w, x, y, z)."""
     after: np.ndarray
-    """The same when everything has come to rest."""
+    """The same when everything has come to rest, as it was seen."""
+    truth: np.ndarray | None = None
+    """The same as it really was, which a simulation tells when the build is over; None: nobody
+    tells, or all was seen exactly."""
 
     @property
     def seconds(self) -> float:
@@ -263,7 +266,8 @@ def _structure(record: BuildRecord) -> Iterator[str]:
             yield f"step {step.number}: should have number {k}"
         if not step.cells or set(step.cells) not in own or len(set(step.cells)) < len(step.cells):
             yield f"step {k}: cells {list(step.cells)} are no object of the build"
-        for what, poses in (("before", step.before), ("after", step.after)):
+        truth = step.after if step.truth is None else step.truth
+        for what, poses in (("before", step.before), ("after", step.after), ("truth", truth)):
             if poses.shape != (count, 7):
                 yield f"step {k}: {what} does not hold 7 numbers for each of {count} cells"
             elif np.abs(np.linalg.norm(poses[:, 3:], axis=1) - 1).max(initial=0.0) > 1e-4:

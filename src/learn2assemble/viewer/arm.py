@@ -12,6 +12,7 @@ from learn2assemble.geometry.rotations import matrix_quaternion
 from learn2assemble.motion.record import StepRecord
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.shape import LinkPart
+from learn2assemble.viewer.errors import truth_data
 from learn2assemble.viewer.html import NUMBER, packed, row, speed_options, to_base64
 from learn2assemble.viewer.playback import Playback, split
 from learn2assemble.viewer.words import (
@@ -164,6 +165,7 @@ def arm_data(playback: Playback, labels: Labels) -> dict[str, Any]:
             _segment(playback, number, labels) for number in range(len(playback.segments))
         ],
         "start": labels.captions[0],
+        "truth": truth_data(playback),
         "extent": extent(playback),
         "turn": _short(playback.side),
     }

@@ -103,6 +103,8 @@ function createArm(data, tools) {
   const ghost = new THREE.LineSegments(
     new THREE.EdgesGeometry(cells[0].sides), ghostLine);
   group.add(ghost);
+  // Where blocks really are, as far off as can be seen; of each cell that was told of.
+  const truthLine = coloured(new THREE.LineBasicMaterial(), "bad"), truths = new Map();
   const toolPlace = new THREE.Vector3(), toolTurn = new THREE.Quaternion();
 
   return { group, update };
@@ -127,6 +129,23 @@ function createArm(data, tools) {
     ghost.position.set(x, y, z);
     ghost.quaternion.copy(turned(quaternion));
     ghost.geometry = outline(segment.cells[0]);
+    const moving = now > segment.start && now < segment.end;
+    showTruth(moving ? k - 1 : now > 0 ? k : -1, moving ? segment.cells : []);
+  }
+
+  function showTruth(k, except) {
+    for (const line of truths.values()) line.visible = false;
+    for (const [cell, position, quaternion] of arm.truth?.after[k] ?? []) {
+      if (except.includes(cell)) continue;
+      if (!truths.has(cell)) {
+        truths.set(cell, new THREE.LineSegments(outline(cell), truthLine));
+        group.add(truths.get(cell));
+      }
+      const line = truths.get(cell);
+      line.visible = true;
+      line.position.set(...position);
+      line.quaternion.copy(turned(quaternion));
+    }
   }
 
   function pose(time) {
