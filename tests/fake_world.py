@@ -53,7 +53,8 @@ class KinematicWorld:
     def take(self, name: str) -> None:
         """A block is gone, also from the hand."""
         self.pose.pop(name, None)
-        self.held = None if self.held == name else self.held
+        if self.held == name:  # Nothing presses on an empty cup.
+            self.held, self.force = None, 0.0
 
     def drop(self) -> None:
         """What hangs on the cup falls off, though that is still on, and rolls out of sight."""

@@ -190,8 +190,6 @@ def test_after_a_fault_the_arm_stands_and_the_run_goes_on(
 ) -> None:
     if cell.kind == "ros2" and fault in ("cut while it goes", "slow", "clock"):
         pytest.skip("the plant is tested without a build: it takes long behind ROS")
-    if cell.kind == "ros2" and fault == "cut with a block in the hand":
-        pytest.skip("guards behind ROS are ours: how far a cut lets it press is luck")
     given, stop = FAULTS[fault]
     cell.ask("later", **given)
     first = cell.run(state=tmp_path / "run.jsonl")
