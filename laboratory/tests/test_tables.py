@@ -14,6 +14,7 @@ import pytest
 import torch
 
 from l2a_lab import numbers as published_module
+from l2a_lab import packed
 from l2a_lab.bounds import best_return, return_bound
 from l2a_lab.cell_jobs import CellJob, jobs, row_cells, run_jobs, share_size, stale
 from l2a_lab.cells import (
@@ -24,6 +25,7 @@ from l2a_lab.cells import (
     find_agents,
     is_current,
     measure,
+    measured_agents,
     mended_policy,
     read_result,
     write_result,
@@ -345,6 +347,35 @@ def test_damaged_result_files_count_as_absent(text: str, tmp_path: Path) -> None
     assert read_result(tmp_path / "a.json") is None
 
 
+def test_packed_results_are_the_same_and_newer_ones_take_their_place(tmp_path: Path) -> None:
+    one, two = (Cell(TASK, "agent", f"tiny-s{k}", None, 0.05) for k in range(2))
+    for cell in (one, two):
+        fake(tmp_path, cell, [1.0, 2.0], [0, 1])
+    before = {cell.path: read_result(tmp_path / cell.path) for cell in (one, two)}
+    (tmp_path / one.path).with_name("damaged.json").write_text("{")
+    assert packed.pack(tmp_path / "cells") == 2
+    assert [file.name for file in (tmp_path / "cells" / NAME).iterdir()] == ["damaged.json"]
+    pack = tmp_path / "cells" / f"{NAME}{packed.ENDING}"
+    bytes_ = pack.read_bytes()
+    for cell in (one, two):
+        assert read_result(tmp_path / cell.path) == before[cell.path]
+        assert is_current(tmp_path, cell, "hash", 2)
+    assert packed.tasks(tmp_path / "cells") == [NAME]
+    assert measured_agents(tmp_path, NAME) == {"tiny-s0", "tiny-s1"}
+    # The same results, whenever they are packed, are the same file.
+    for cell in (one, two):
+        fake(tmp_path, cell, [1.0, 2.0], [0, 1])
+    packed.pack(tmp_path / "cells")
+    assert pack.read_bytes() == bytes_
+    fake(tmp_path, one, [3.0, 4.0], [0, 0])
+    newer = read_result(tmp_path / one.path)
+    assert newer is not None
+    assert newer.array("returns").tolist() == [3.0, 4.0]
+    packed.pack(tmp_path / "cells")
+    assert read_result(tmp_path / one.path) == newer
+    assert read_result(tmp_path / two.path) == before[two.path]
+
+
 def test_result_with_too_few_numbers_counts_as_absent(tmp_path: Path) -> None:
     cell = Cell(TASK, LOOK_AHEAD)
     fake(tmp_path, cell, [1.0, 2.0], [0, 1], coverage=[0.5])
@@ -610,9 +641,17 @@ def test_committed_tables_are_generated(name: str) -> None:
     assert markdown(load_table(get_table(name), ROOT / "results")) == text
 
 
+def committed_cells() -> list[Path]:
+    """Every result by the path of its file."""
+    cells = ROOT / "results" / "cells"
+    return [
+        cells / task / name for task in packed.tasks(cells) for name in packed.names(cells / task)
+    ]
+
+
 def test_committed_results_say_how_they_were_made() -> None:
-    files = list((ROOT / "results" / "cells").rglob("*.json"))
-    assert files
+    files = committed_cells()
+    assert len(files) > 1000
     for file in files:
         result = read_result(file)
         assert result is not None, file
@@ -626,7 +665,7 @@ def test_committed_results_say_how_they_were_made() -> None:
 
 def test_committed_results_of_shipped_agents_are_of_these_agents() -> None:
     shipped = find_agents(None)
-    for file in (ROOT / "results" / "cells").rglob("*.json"):
+    for file in committed_cells():
         result = read_result(file)
         assert result is not None
         if result.cell.agent in shipped:

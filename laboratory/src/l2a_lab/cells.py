@@ -20,6 +20,7 @@ import numpy as np
 
 from l2a_lab.bounds import best_returns
 from l2a_lab.builder.network import builder_files
+from l2a_lab.packed import names, read_document
 from l2a_lab.table import FARTHER, LOOK_AHEAD, MENDED, RANDOM
 from learn2assemble.errors import InputError, extra
 from learn2assemble.files import check_exists, write_file
@@ -277,7 +278,8 @@ class CellResult:
 
 
 def write_result(root: Path, cell: Cell, agent_hash: str | None, data: dict[str, Any]) -> Path:
-    """Write the file of ``cell`` below ``root``; a kill leaves the old one or the new one.
+    """Write the file of ``cell`` below ``root``; a kill leaves the old one or the new one. It stays
+    until it is packed.
 
     Raises:
         InputError: where it cannot be written.
@@ -301,9 +303,10 @@ def write_result(root: Path, cell: Cell, agent_hash: str | None, data: dict[str,
 
 
 def read_result(file: Path) -> CellResult | None:
-    """A result file; ``None`` where it is absent, damaged or of another version."""
+    """A result by the path of its file, also where that was packed (:mod:`.packed`); ``None`` where
+    it is absent, damaged or of another version."""
     try:
-        data = json.loads(file.read_text(encoding="utf-8"))
+        data = json.loads(read_document(file))
         if (data.pop("format"), data.pop("version")) != (FORMAT, VERSION):
             return None
         result = CellResult(Cell.from_dict(data.pop("cell")), data.pop("agent_hash"), data)
@@ -325,9 +328,9 @@ def is_current(root: Path, cell: Cell, agent_hash: str | None, episodes: int) ->
 
 def measured_agents(root: Path, task: str) -> set[str]:
     """Names of the agents with results on ``task``."""
-    found = set()
-    for file in (root / "cells" / task).glob("*.json"):
-        result = read_result(file)
+    found, folder = set(), root / "cells" / task
+    for name in names(folder):
+        result = read_result(folder / name)
         if result is not None and result.cell.agent:
             found.add(result.cell.agent)
     return found

@@ -133,6 +133,7 @@ def _measure(root: Path, todo: list[CellJob], name: str, workers: int, ray: str 
     from tqdm import tqdm
 
     from l2a_lab.cell_jobs import run_jobs
+    from l2a_lab.packed import pack
 
     if not todo:
         return
@@ -154,6 +155,7 @@ def _measure(root: Path, todo: list[CellJob], name: str, workers: int, ray: str 
             bar.update(round(job.cost))
 
         run_jobs(root, todo, workers, advance, ray)
+    pack(root / "cells")
 
 
 def _write(data: TableData, root: Path) -> dict[str, Path]:

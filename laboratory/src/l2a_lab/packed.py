@@ -1,0 +1,91 @@
+"""Results of many cells in one file a task: sorted lines of JSON, compressed.
+
+What is measured is written to a file of its own first, so that nothing is lost when a run is
+killed; :func:`pack` then moves it into ``cells/TASK.jsonl.gz``. A file of its own that is still
+there is the newer one. ``zcat`` shows a pack.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+from functools import lru_cache
+from pathlib import Path
+
+from learn2assemble.files import write_file
+
+ENDING = ".jsonl.gz"
+
+
+def read_document(file: Path) -> str:
+    """The text of a result, of its own file or out of the pack of its task.
+
+    Raises:
+        KeyError: where it is in neither.
+        OSError, ValueError: for what cannot be read.
+    """
+    if file.is_file():
+        return file.read_text(encoding="utf-8")
+    return _packed(_pack_of(file.parent))[file.name]
+
+
+def names(folder: Path) -> list[str]:
+    """Names of the results of the task of a folder ``cells/TASK``, sorted; packed ones included."""
+    packed = set(_packed(_pack_of(folder)))
+    return sorted(packed | {file.name for file in folder.glob("*.json")})
+
+
+def tasks(cells: Path) -> list[str]:
+    """Tasks with results in a folder ``cells``."""
+    packed = {file.name.removesuffix(ENDING) for file in cells.glob(f"*{ENDING}")}
+    return sorted(packed | {folder.name for folder in cells.glob("*") if folder.is_dir()})
+
+
+def pack(cells: Path) -> int:
+    """Move all results that have files of their own into the packs of their tasks.
+
+    Args:
+        cells: folder of the folders of tasks.
+
+    Returns:
+        how many were moved.
+    """
+    moved = 0
+    for folder in sorted(folder for folder in cells.glob("*") if folder.is_dir()):
+        files, target = sorted(folder.glob("*.json")), _pack_of(folder)
+        if not files:
+            continue
+        found = {name: json.loads(text) for name, text in _packed(target).items()}
+        for file in list(files):
+            try:
+                found[file.name] = json.loads(file.read_text(encoding="utf-8"))
+            except ValueError:
+                files.remove(file)  # Damaged: whoever looks for it measures it anew.
+        text = "".join(json.dumps({"name": name, **found[name]}) + "\n" for name in sorted(found))
+        # Without a time, so that the same results are the same file.
+        write_file(target, gzip.compress(text.encode(), 9, mtime=0), "--out")
+        for file in files:
+            file.unlink()
+        if not any(folder.iterdir()):
+            folder.rmdir()
+        moved += len(files)
+    return moved
+
+
+def _pack_of(folder: Path) -> Path:
+    return folder.with_name(folder.name + ENDING)
+
+
+def _packed(pack: Path) -> dict[str, str]:
+    """Name -> text of every result of a pack; nothing where there is none."""
+    return _read(pack, pack.stat().st_mtime_ns) if pack.is_file() else {}
+
+
+@lru_cache(maxsize=64)
+def _read(pack: Path, _: int) -> dict[str, str]:
+    found = {}
+    for line in gzip.decompress(pack.read_bytes()).decode().splitlines():
+        # The name is the first key; what it names is read when somebody asks for it.
+        name = json.JSONDecoder().raw_decode(line, len('{"name": '))[0]
+        found[name] = "{" + line[len('{"name": ') + len(json.dumps(name)) + 2 :]
+    return found
