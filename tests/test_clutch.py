@@ -20,6 +20,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.statics import rigid_blocks
 from learn2assemble.statics.holding import Balance, Push, balance_of
 from learn2assemble.statics.holding_check import stands_by_joints
+from learn2assemble.statics.holding_forces import Columns, forces_of
 from learn2assemble.statics.rigid_blocks import FALLS, STANDS, TIGHT, check
 
 _conic: Any = clarabel
@@ -431,3 +432,20 @@ def test_dry_assemblies_do_not_come_here(monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setattr(rigid_blocks, "stands_by_joints", never)
     assert check(Assembly((box_block("a", (0, 0, 0), (1, 1, 1)),))).verdict == STANDS
+
+
+def test_faces_side_by_side_are_left_out_only_where_they_cannot_help() -> None:
+    told = {True: 0, False: 0}
+    for seed in range(60):
+        tree = bricks(*random_bricks(seed, 6 + seed % 25))
+        forces = forces_of(tree)
+        alone = Balance(tree, forces)
+        need = alone.need()
+        if need.stands or forces.upright.all():
+            continue
+        beside = Columns(*(field[~forces.upright] for field in forces.columns))
+        could = alone.lessened_by(beside)
+        more = Balance(tree, forces, sides=True).need()
+        assert could or more.share == pytest.approx(need.share, rel=1e-6)
+        told[could] += 1
+    assert min(told.values()) > 2

@@ -51,6 +51,8 @@ _CLOSE = 1e-3
 """Share of the strength by which its answer has to be clear."""
 _FULL = 1.0 + 1e-7
 """Share of the strength up to which joints hold."""
+_IDLE = 1e-9
+"""Work that is none, in mean weights times a length."""
 _MOVES = 0.1
 """A block moves where its part of the motion is this share of the largest."""
 _FIRST = np.pi / 8 + np.pi / 4 * np.arange(8)
@@ -285,6 +287,17 @@ class Balance:
         share = float(max(x[self._width], 0.0))
         return Need(share, x[: self._width] * self._unit)
 
+    def lessened_by(self, columns: Columns) -> bool:
+        """Whether further forces could lessen the need of all blocks that was asked last: not where
+        the motion in which they fall does work against none of them, as that is the dual of the
+        program with them, too."""
+        if not self._started:
+            return True
+        motion = np.array(self._solver.getSolution().row_dual)
+        work = self._matrix(columns, self._centre).T @ motion
+        held = (columns.lower < 0) & (work < -_IDLE) | (columns.upper > 0) & (work > _IDLE)
+        return not motion.any() or bool(held.any())
+
     def stands(self, present: np.ndarray, held: np.ndarray, push: Push | None = None) -> bool:
         """Whether a state stands with the strength its joints have; quicker than :meth:`need`.
 
@@ -420,8 +433,9 @@ class Balance:
         load = self._load(np.zeros(self.count), None) - self._pulls @ pulling
         matrix = self._wrench[rows][:, on]
         m, n = len(rows), len(on)
-        slack = sp.identity(m, format="csc")
-        whole = sp.csc_matrix(sp.hstack([matrix, slack, -slack]))
+        start = np.append(matrix.indptr, matrix.nnz + 1 + np.arange(2 * m))
+        index = np.concatenate([matrix.indices, np.tile(np.arange(m), 2)])
+        filled = np.concatenate([matrix.data, np.repeat([1.0, -1.0], m)])
         solver: Any = highspy.Highs()
         for option, value in _OPTIONS:
             solver.setOptionValue(option, value)
@@ -431,7 +445,7 @@ class Balance:
         solver.passModel(
             n + 2 * m,
             m,
-            whole.nnz,
+            len(filled),
             _COLUMNWISE,
             int(highspy.ObjSense.kMinimize),
             0.0,
@@ -440,9 +454,9 @@ class Balance:
             upper,
             load[rows],
             load[rows],
-            whole.indptr.astype(np.int32),
-            whole.indices.astype(np.int32),
-            whole.data,
+            start.astype(np.int32),
+            index.astype(np.int32),
+            filled,
             np.zeros(n + 2 * m, np.int32),
         )
         solver.run()

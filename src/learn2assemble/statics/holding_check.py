@@ -11,7 +11,7 @@ from learn2assemble.assembly.contacts import GROUND
 from learn2assemble.assembly.joints import Joint
 from learn2assemble.errors import InputError
 from learn2assemble.statics.holding import Balance, Need
-from learn2assemble.statics.holding_forces import Forces, forces_of
+from learn2assemble.statics.holding_forces import Columns, Forces, forces_of
 
 
 class JointAnswer(NamedTuple):
@@ -41,12 +41,13 @@ def stands_by_joints(assembly: Assembly, cured: bool = True) -> JointAnswer:
         raise InputError(where, float(low.vertices[:, 2].min()), expected)
     balance = Balance(assembly, forces)
     need = balance.need()
-    if need.stands or forces.upright.all():
+    beside = Columns(*(field[~forces.upright] for field in forces.columns))
+    if need.stands or not len(beside.b) or not balance.lessened_by(beside):
         return JointAnswer(need, False, balance, forces)
-    beside = Balance(assembly, forces, sides=True)
-    more = beside.need()
+    tight = Balance(assembly, forces, sides=True)
+    more = tight.need()
     if more.stands:
-        return JointAnswer(more, True, beside, forces)
+        return JointAnswer(more, True, tight, forces)
     return JointAnswer(need, False, balance, forces)
 
 
