@@ -68,11 +68,6 @@ def _published(name: str, task: str, *changes: str) -> Recipe:
     return Recipe(name, task, (RecipeStage(changes=changes),))
 
 
-def _ablation(name: str, *changes: str) -> Recipe:
-    stage = RecipeStage("relational", ("num_samples=24000", "epsilon_samples=8000", *changes))
-    return Recipe(f"ablation-{name}", _CUBES, (stage,))
-
-
 _ALL = (
     _published("dqn", _CUBES, *_FAST),
     _published("q-mcts", _CUBES, *_FAST, "method=q-mcts"),
@@ -96,11 +91,6 @@ _ALL = (
     Recipe("relational-four-sided", _ROBOT_FOUR, (RecipeStage("relational"),)),
     Recipe("relational-walls", _WALLS, (RecipeStage("relational", (_SHORT,)),)),
     Recipe("relational-robot-objects", _ROBOT_OBJECTS, (RecipeStage("relational-objects"),)),
-    _ablation("full"),
-    _ablation("no-dense-labels", "dense_weight=0"),
-    _ablation("single-q", "double=false"),
-    _ablation("one-round", "network.rounds=1"),
-    _ablation("three-steps", "steps=3"),
 )
 
 RECIPES: dict[str, Recipe] = {recipe.name: recipe for recipe in _ALL}

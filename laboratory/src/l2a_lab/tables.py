@@ -108,14 +108,6 @@ _RANDOM = Row("uniformly random actions", policy=RANDOM, kind=REFERENCE, columns
 _MHA, _SHA, _S2V = (
     _network(name, f"{name.lower()}-full", "full", name) for name in ("MHA", "SHA", "S2V")
 )
-_PARTS = (
-    ("all parts", "full", MODEL_LABELS),
-    ("without dense labels", "no-dense-labels", ""),
-    ("without double Q", "single-q", MODEL_LABELS),
-    ("one round of pooling", "one-round", MODEL_LABELS),
-    ("targets over three steps", "three-steps", MODEL_LABELS),
-)
-"""Rows of the ablation: label, stem of the agents, help."""
 
 
 def _robot_rows(agents: str, own: str, paper: str = "") -> tuple[Row, ...]:
@@ -278,21 +270,6 @@ _ALL = (
         (*_played("objects", OUR_SCHEDULE), *_own(OWN_OBJECTS), _BUILDER, _LOOK_AHEAD),
         {**_NO_ROBOT, "source_table": "app_T6"},
         other_discount=0.8,
-    ),
-    Table(
-        "ablation",
-        "What each part of our method brings (24,000 samples; searches: shipped agent)",
-        (_T2_COLUMNS[0], _T2_COLUMNS[4]),
-        (
-            *(_ours(label, f"ablation-{stem}", help=help_) for label, stem, help_ in _PARTS),
-            *_budget(0, learners=("DQN",)),
-            _ours("shipped agent, no search", SHIPPED),
-            *(
-                _ours(f"shipped agent, {name}, budget 10", SHIPPED, name, distinct=True)
-                for name in ("dqn-mcts", "widening", "gumbel")
-            ),
-            _LOOK_AHEAD,
-        ),
     ),
     Table(
         "scaling",
