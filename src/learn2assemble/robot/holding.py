@@ -30,7 +30,9 @@ GRIP_DEPTH = 0.025
 """A taller block is held so far below its top [m], as the hand is not far above the fingertips."""
 TIP_ROOM, STUD_ROOM = 0.002, 0.0055
 """Fingertips stay so far above what a block stands on [m]: above the studs of large bricks where
-the block is high enough for that."""
+the block is high enough for that, ..."""
+BRICK = 0.02
+"""... and no higher than a large brick [m]."""
 LEAST_GRIP = 0.008
 """So much of the height of a pad is on a block that is high enough [m]."""
 PAD = 0.0075
@@ -259,7 +261,8 @@ def _between_faces(
             # Along the way of the hand: where it enters the faces, where it would leave them.
             first, last = float(ends.min()), float(ends.max())
             most = min(first + GRIP_DEPTH, (first + last) / 2)
-            depth = min(most, last - gripper.tip - STUD_ROOM)
+            room = STUD_ROOM if last - first <= BRICK else TIP_ROOM
+            depth = min(most, last - gripper.tip - room)
             if depth + gripper.tip < first + LEAST_GRIP:
                 depth = min(most, last - gripper.tip - TIP_ROOM)
                 if depth < first:

@@ -40,8 +40,9 @@ LONGEST_REST = 2.0
 MOVING = 1e-3
 """What moves faster stays free [m/s], [rad/s]."""
 THINNER = 0.0
-"""How much thinner boxes are on their upright sides [m]; bricks that clutch are so by what is
-left free between them."""
+"""How much thinner boxes are on their upright sides [m]. Bricks that clutch are so by what is left
+free between them, and what simulated fingers hold by :data:`~.model.SHRINK`: it drifts in the hand
+by as much as a joint is wide."""
 OBSTACLE = "an obstacle"
 NOBODY = -9
 
@@ -238,7 +239,8 @@ class DynamicPlant(SimulatedCell):
         mask = np.zeros(len(scene.position), bool)
         for name in free:
             mask[rows[name]] = True
-        thinner = THINNER if scene.studs is None else SHRINK
+        slides = scene.studs is not None or self.arm.suction is None
+        thinner = SHRINK if slides else THINNER
         objects = group(scene, scene.orientation, mask, thinner=thinner)
         of_row = {int(row): name for name, cells in rows.items() for row in cells}
         self.number = {name: int(objects.owner[rows[name][0]]) for name in sorted(free)}
