@@ -95,6 +95,8 @@ class Forward:
         self._known: dict[bytes, tuple[int, int | None]] = {}
         """Of a state, the last law that was asked, and by which it stands."""
         self._kept: set[tuple[int, bytes]] = set()
+        self._failed: set[tuple[int, tuple[int, ...], int | None, bytes]] = set()
+        """Blocks that fell, with which posts, and which of their neighbours were there."""
         self._shut: dict[int, bool] = {}
 
     def allow(self, posts: Iterable[int], holds: int) -> None:
@@ -106,6 +108,21 @@ class Forward:
         """
         self.allowed, self.holds = set(posts), holds
         self._kept.clear()
+
+    def learn(self, other: Forward, state: State) -> None:
+        """Take over what is known without posts, and go on from a state without them that stands.
+
+        Args:
+            other: of the same blocks and laws, without posts.
+        """
+        count, none = other.count, bytes(len(self.posts))
+        for key, found in other._known.items():
+            self._known[key[:count] + none + key[count:] + none] = found
+        more = np.zeros(len(self.posts), bool)
+        whole = State(np.append(state.present, more), np.append(state.held, more))
+        number = self.law(whole)
+        if number is not None:
+            self.laws[number].stands(whole)
 
     @property
     def patient(self) -> bool:
@@ -190,12 +207,21 @@ class Forward:
                 waiting.append((b, walled))
                 continue
             ready.append(b)
-            if any(law.rests(after, b) for law in self.laws) and self.stands(after, [b]):
-                yield Transition((Doing("place", b),), after, last.gone)
+            yield from self._with(last, b, (), len(self.laws) - 1)
+        if self.holds or not self.allowed:
+            for b in ready:
+                yield from self._with(last, b, ())
         if self.holds:
             yield from self._holding(last, ready)
-        if self.allowed:
-            yield from self._posted(last, ready)
+        # To tell that a state falls takes long: a post that helps comes before it is asked at
+        # length whether it does without, and what failed among the same neighbours comes last.
+        for again in (False, True) if self.allowed else ():
+            for b in ready:
+                for p in self._under[b]:
+                    yield from self._with(last, b, (p,), again=again)
+            for b in ready:
+                yield from self._with(last, b, (), again=again)
+            yield from self._posted(last, ready, again)
         for b, walled in waiting:
             yield from self._freeing(last, b, walled)
         # What stands there stays: these may be dead ends, as far as straight ways tell.
@@ -234,34 +260,50 @@ class Forward:
                         yield Transition(tuple(steps), after, last.gone)
                         break
 
-    def _posted(self, last: Transition, ready: list[int]) -> Iterator[Transition]:
-        """A block with a post under it, or under what would move with it."""
-        for b in ready:
-            for p in self._under[b]:
-                yield from self._with(last, b, (p,))
+    def _posted(self, last: Transition, ready: list[int], again: bool) -> Iterator[Transition]:
+        """A block with posts under what would move with it; ``again`` as of :meth:`_with`."""
         for b in ready:
             moving = self.laws[-1].moving(last.state.change(place=[b]))
             posts = {p for m in moving if m < self.count for p in self._under[m]}
             some = sorted(posts & self.allowed, key=lambda p: -self.site.rank[p])[:_NEAREST]
             for size in range(1, _TOGETHER + 1):
                 for chosen in combinations(some, size):
-                    yield from self._with(last, b, chosen)
+                    yield from self._with(last, b, chosen, again=again)
 
-    def _with(self, last: Transition, block: int, posts: tuple[int, ...]) -> Iterator[Transition]:
-        """A block placed after some posts, if all of it is proven."""
+    def _with(
+        self,
+        last: Transition,
+        block: int,
+        posts: tuple[int, ...],
+        most: int | None = None,
+        again: bool = False,
+    ) -> Iterator[Transition]:
+        """A block placed, after some posts where they are given, if all of it is proven.
+
+        Args:
+            most: as of :meth:`law`.
+            again: look at what failed among the same neighbours, else at the rest alone.
+        """
         state, steps = last.state, []
+        key = block, posts, most, state.present[self.site.near[block]].tobytes()
+        if self.allowed and (key in self._failed) != again:
+            return
         for p in posts:
             base, after = self.posts[p - self.count].base, state.change(place=[p])
             based = base < 0 or state.present[base]
             if p not in self.allowed or state.present[p] or not based:
                 return
-            if not (self.site.ways.free(p, after.present) and self.stands(after)):
+            if not (self.site.ways.free(p, after.present) and self.stands(after, (), most)):
                 return
             steps.append(Doing("place", p))
             state = after
         after = state.change(place=[block])
-        if self.site.ways.free(block, state.present) and self.stands(after, [block]):
+        comes = any(law.rests(after, block) for law in self.laws)
+        comes = comes and self.site.ways.free(block, state.present)
+        if comes and self.stands(after, [block], most):
             yield Transition((*steps, Doing("place", block)), after, last.gone)
+        elif most is None:
+            self._failed.add(key)
 
     # ------------------------------------------------------------ what goes again
 

@@ -33,6 +33,7 @@ from learn2assemble.planning.sequence import (
 from learn2assemble.statics.holding_check import stands_by_joints, words_of
 from learn2assemble.statics.laws import ByForces, ByLoads, ByStrength, Law
 from learn2assemble.statics.rigid_blocks import SIDE
+from learn2assemble.statics.states import State
 
 _SMALL = 10
 """Blocks up to which the fewest posts are looked for."""
@@ -80,7 +81,8 @@ def find_sequence(
             break
         if supports.posts if posts else supports.holds:
             if posts:
-                order = _DryOrder(problem, supports, clock, progress)
+                plain, order = order, _DryOrder(problem, supports, clock, progress)
+                order.rules.learn(plain.rules, plain.after(found.steps))
             order.rules.allow(
                 range(order.count, len(order.blocks)) if posts else (), supports.holds
             )
@@ -198,11 +200,15 @@ class _DryOrder:
         blocks = (*self.blocks[: self.count], *(self.blocks[b] for b in used))
         if found.complete:
             return Sequenced(blocks, made, "complete")
-        state = self.rules.start
-        for action, block, _ in found.steps:
-            state = state.change(**{action: [block]})
-        reason = self._why(state.present, found.stuck)
+        reason = self._why(self.after(found.steps).present, found.stuck)
         return Sequenced(blocks, made, "not found", reason, found.stuck)
+
+    def after(self, steps: Sequence[Doing]) -> State:
+        """The state that some steps end in."""
+        state = self.rules.start
+        for action, block, _ in steps:
+            state = state.change(**{action: [block]})
+        return state
 
     def _why(self, present: np.ndarray, stuck: tuple[int, ...]) -> str:
         if self.clock.left <= 0:
