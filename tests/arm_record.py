@@ -12,14 +12,8 @@ from scipy.interpolate import PchipInterpolator
 
 from learn2assemble.assembly.blocks import Assembly, box_block
 from learn2assemble.assembly.blocks import AssemblyStep as Placed
-from learn2assemble.motion.record import (
-    RATE,
-    BuildRecord,
-    BuildRecorder,
-    Stage,
-    StepMotion,
-    upright,
-)
+from learn2assemble.motion.record import RATE, BuildRecord, Stage
+from learn2assemble.motion.recorder import BuildRecorder, StepMotion, upright
 from learn2assemble.planning import plan as plans
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm

@@ -8,7 +8,8 @@ import pytest
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.linear_programs import INF, Clock
 from learn2assemble.planning.tiling import exact, standing
-from learn2assemble.planning.tiling.exact import plan_exact, stand
+from learn2assemble.planning.tiling.exact import plan_exact
+from learn2assemble.planning.tiling.finished import stand
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.tile import tile
 from learn2assemble.statics.step_proof import TOLERANCE, Proof

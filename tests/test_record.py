@@ -25,16 +25,18 @@ from learn2assemble.motion.files import (
     write_record,
 )
 from learn2assemble.motion.record import (
-    LOST,
     BuildRecord,
-    BuildRecorder,
     Samples,
     Stage,
-    StepMotion,
     StepRecord,
     find_fault,
-    holding,
     require_sound,
+)
+from learn2assemble.motion.recorder import (
+    LOST,
+    BuildRecorder,
+    StepMotion,
+    holding,
     stages_of,
     upright,
 )

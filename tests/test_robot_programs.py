@@ -37,16 +37,10 @@ from learn2assemble.export.robot_programs import (
 )
 from learn2assemble.export.urscript import BLEND, ROUND, held_centre, planned_frame
 from learn2assemble.motion.files import write_record
-from learn2assemble.motion.program import (
-    Knots,
-    Program,
-    driver_of,
-    fit,
-    make_program,
-    slow_down,
-    usage,
-)
-from learn2assemble.motion.record import BuildRecord, BuildRecorder, CellShapes, find_fault, upright
+from learn2assemble.motion.knots import Knots, fit, slow_down, usage
+from learn2assemble.motion.program import Program, driver_of, make_program
+from learn2assemble.motion.record import BuildRecord, find_fault
+from learn2assemble.motion.recorder import BuildRecorder, CellShapes, upright
 from learn2assemble.motion.settings import ToolOutput
 from learn2assemble.robot.arm import Arm, Limits, arm_model, get_arm
 from learn2assemble.robot.grasps import Attitude

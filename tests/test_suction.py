@@ -15,7 +15,7 @@ import pytest
 import learn2assemble as l2a
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
-from learn2assemble.motion.record import holding
+from learn2assemble.motion.recorder import holding
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.kinematic import KinematicCell

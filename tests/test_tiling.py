@@ -16,19 +16,15 @@ from learn2assemble.assembly.kit import Kind, Kit, load_kit, orientations
 from learn2assemble.errors import InputError, Learn2AssembleError
 from learn2assemble.linear_programs import Clock, LinearProgram, solve
 from learn2assemble.planning.tiling import retiling
-from learn2assemble.planning.tiling.retiling import improve_bond
-from learn2assemble.planning.tiling.tile import (
+from learn2assemble.planning.tiling.candidates import (
     COSTS,
     BlockPlacement,
-    Tiling,
     convex_hull,
     find_candidates,
-    find_seams,
-    owners,
-    seams_bridged,
     support_margin,
-    tile,
 )
+from learn2assemble.planning.tiling.retiling import improve_bond
+from learn2assemble.planning.tiling.tile import Tiling, find_seams, owners, seams_bridged, tile
 
 LINTELS = load_kit("bricks-lintels")
 SMALL = Kit("small", tuple(Kind(f"1x{n}", tuple((k, 0, 0) for k in range(n))) for n in (1, 2, 3)))

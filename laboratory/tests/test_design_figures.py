@@ -66,8 +66,8 @@ def test_the_bound_is_reached_by_a_bridge() -> None:
 
 
 def test_the_simulation_tells_what_stands() -> None:
+    from learn2assemble.planning.tiling.candidates import BlockPlacement
     from learn2assemble.planning.tiling.ordering import to_assembly
-    from learn2assemble.planning.tiling.tile import BlockPlacement
 
     wanted = np.zeros((4, 1, 2), bool)
     wanted[:1, :, 0] = wanted[:, :, 1] = True

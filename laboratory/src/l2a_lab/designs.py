@@ -27,10 +27,11 @@ from learn2assemble.assembly.kit import Kit, load_kit, orientations
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.read import read_design
 from learn2assemble.errors import InputError
+from learn2assemble.planning.tiling.candidates import find_candidates
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.planning.tiling.ordering import Ordering, to_assembly
-from learn2assemble.planning.tiling.tile import Tiling, cover, find_candidates, seams_bridged
+from learn2assemble.planning.tiling.tile import Tiling, cover, seams_bridged
 from learn2assemble.statics.proofs import TIGHT
 
 EXAMPLES, REFERENCE = Path("examples/designs"), Path("../shared/reference")

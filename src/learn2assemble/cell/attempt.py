@@ -10,7 +10,8 @@ from learn2assemble.cell.sight import Sight
 from learn2assemble.cell.workcell import Job, Rows
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.plant import Plant, ToolCommand
-from learn2assemble.motion.record import RATE, Stage, StepMotion
+from learn2assemble.motion.record import RATE, Stage
+from learn2assemble.motion.recorder import StepMotion
 from learn2assemble.robot.approach import approach_path, tool_path
 from learn2assemble.robot.moves import Move, Outcome, turned, turns
 from learn2assemble.simulation.cell import DynamicCell

@@ -22,15 +22,8 @@ from learn2assemble.errors import InputError
 from learn2assemble.files import append_line, unwritable, write_file
 from learn2assemble.geometry.hulls import Hull
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_quaternion
-from learn2assemble.motion.record import (
-    BuildRecord,
-    BuildRecorder,
-    ByHand,
-    CellShapes,
-    Samples,
-    Stage,
-    StepRecord,
-)
+from learn2assemble.motion.record import BuildRecord, ByHand, Samples, Stage, StepRecord
+from learn2assemble.motion.recorder import BuildRecorder, CellShapes
 from learn2assemble.robot.moves import Outcome
 
 FORMAT, VERSION = "learn2assemble-build", 4

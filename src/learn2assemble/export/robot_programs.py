@@ -18,7 +18,8 @@ from learn2assemble.export.ros2 import is_bag, read_bag, write_bag
 from learn2assemble.export.urscript import write_urscript
 from learn2assemble.files import as_path, check_exists, check_output
 from learn2assemble.motion.files import read_record
-from learn2assemble.motion.program import Program, arm_of, make_program, usage
+from learn2assemble.motion.knots import usage
+from learn2assemble.motion.program import Program, arm_of, make_program
 from learn2assemble.motion.record import BuildRecord
 from learn2assemble.motion.settings import ProgramSettings, read_settings
 from learn2assemble.registry import Registry

@@ -22,9 +22,9 @@ from learn2assemble.errors import InputError
 from learn2assemble.files import load_json, read_bytes, write_file
 from learn2assemble.geometry.hulls import Hull, hull_of
 from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.motion.knots import Knots
 from learn2assemble.motion.program import (
     Blocks,
-    Knots,
     Program,
     ProgramStep,
     Supply,

@@ -35,13 +35,8 @@ from learn2assemble.geometry.rotations import (
     quaternion_product,
     rotate_vectors,
 )
-from learn2assemble.motion.program import (
-    Knots,
-    Program,
-    ToolState,
-    driver_of,
-    usage,
-)
+from learn2assemble.motion.knots import Knots, usage
+from learn2assemble.motion.program import Program, ToolState, driver_of
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import forward_many, get_chain
 from learn2assemble.robot.moves import STAGES

@@ -6,7 +6,7 @@ import numpy as np
 
 from learn2assemble.constants import EDGE, HALF
 from learn2assemble.geometry.rotations import yaw_quaternion
-from learn2assemble.motion.record import BuildRecorder
+from learn2assemble.motion.recorder import BuildRecorder
 from learn2assemble.robot.grasps import QUARTER, along
 from learn2assemble.robot.grasps import get_grasps as grasps_of
 from learn2assemble.robot.kinematic import KinematicCell

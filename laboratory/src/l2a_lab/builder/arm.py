@@ -25,8 +25,9 @@ from learn2assemble.cell.workcell import Arranged, Job, Progress, StepOf, Struct
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_matrix, yaw_quaternion
 from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.tiling.candidates import BlockPlacement
 from learn2assemble.planning.tiling.ordering import to_assembly
-from learn2assemble.planning.tiling.tile import BlockPlacement, Tiling
+from learn2assemble.planning.tiling.tile import Tiling
 from learn2assemble.planning.tiling.world import LatticeSite, LatticeWorld
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Shape

@@ -26,9 +26,10 @@ from learn2assemble.design.goals import Surface
 from learn2assemble.linear_programs import INF, Clock, LinearProgram, Model, solve
 from learn2assemble.planning.goals.search import finished
 from learn2assemble.planning.goals.world import GoalProblem, failing_load, legal, put
+from learn2assemble.planning.tiling.candidates import BlockPlacement
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.standing import add_forces, face_points, find_faces
-from learn2assemble.planning.tiling.tile import BlockPlacement, owners
+from learn2assemble.planning.tiling.tile import owners
 from learn2assemble.planning.tiling.world import LatticeWorld
 from learn2assemble.progress import Progress, silent
 

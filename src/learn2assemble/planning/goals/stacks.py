@@ -20,8 +20,8 @@ import numpy as np
 
 from learn2assemble.linear_programs import INF, Clock, Model, solve
 from learn2assemble.planning.goals.world import GoalProblem, bears, legal, put, unmet
+from learn2assemble.planning.tiling.candidates import BlockPlacement, support_margin
 from learn2assemble.planning.tiling.props import FIRM
-from learn2assemble.planning.tiling.tile import BlockPlacement, support_margin
 from learn2assemble.planning.tiling.world import LatticeWorld
 
 TIGHT = 0.75

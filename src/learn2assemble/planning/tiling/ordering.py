@@ -25,14 +25,9 @@ from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import INF, Clock
 from learn2assemble.planning.forward import BuildingSite, Forward
 from learn2assemble.planning.sequence import depth_first, reported
+from learn2assemble.planning.tiling.candidates import BlockPlacement, placement_cells
 from learn2assemble.planning.tiling.stack import find_stack
-from learn2assemble.planning.tiling.tile import (
-    MORE_TIME,
-    BlockPlacement,
-    Tiling,
-    owners,
-    placement_cells,
-)
+from learn2assemble.planning.tiling.tile import MORE_TIME, Tiling, owners
 from learn2assemble.progress import Progress, silent
 from learn2assemble.statics.laws import ByLoads, Law
 from learn2assemble.statics.proofs import (

@@ -9,14 +9,14 @@ import numpy as np
 
 from learn2assemble.assembly.kit import Cell, Kit, orientations
 from learn2assemble.linear_programs import INF, Clock, Model, solve
-from learn2assemble.planning.tiling.ordering import leaves, way_out
-from learn2assemble.planning.tiling.tile import (
+from learn2assemble.planning.tiling.candidates import (
     BlockPlacement,
-    Tiling,
     from_below,
     placement_cells,
     support_margin,
 )
+from learn2assemble.planning.tiling.ordering import leaves, way_out
+from learn2assemble.planning.tiling.tile import Tiling
 
 FIRM = 1e-9
 """How far inside its support a centroid has to be [cells]."""

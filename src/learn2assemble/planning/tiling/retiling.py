@@ -26,25 +26,27 @@ import numpy as np
 
 from learn2assemble.assembly.kit import Kit, parts_of
 from learn2assemble.linear_programs import INF, Clock, Model, solve
-from learn2assemble.planning.tiling.tile import (
+from learn2assemble.planning.tiling.candidates import (
     COSTS,
-    MORE_TIME,
     BlockPlacement,
     Candidates,
-    CoverRules,
-    Tiling,
     bond_cost,
-    cover,
     filled_pairs,
     find_candidates,
-    find_seams,
     from_below,
     glued,
+    placement_cells,
+    standing_cost,
+)
+from learn2assemble.planning.tiling.tile import (
+    MORE_TIME,
+    CoverRules,
+    Tiling,
+    cover,
+    find_seams,
     heap_of,
     owners,
-    placement_cells,
     seams_below,
-    standing_cost,
 )
 
 MAX_CANDIDATES, MAX_EDGES, PASSES = 1500, 320, 2

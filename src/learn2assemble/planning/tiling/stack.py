@@ -5,12 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from learn2assemble.assembly.kit import Kit
-from learn2assemble.planning.tiling.tile import (
-    BlockPlacement,
-    hull_of_boxes,
-    owners,
-    placement_cells,
-)
+from learn2assemble.planning.tiling.candidates import BlockPlacement, hull_of_boxes, placement_cells
+from learn2assemble.planning.tiling.tile import owners
 from learn2assemble.statics.step_proof import EDGE_INSET, Stack, ranks
 
 

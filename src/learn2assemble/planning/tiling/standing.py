@@ -27,9 +27,10 @@ import numpy as np
 
 from learn2assemble.assembly.kit import Kit
 from learn2assemble.linear_programs import INF, Clock, Entry, LinearProgram, Model, Repeated, solve
+from learn2assemble.planning.tiling.candidates import BlockPlacement, from_below, placement_cells
 from learn2assemble.planning.tiling.retiling import bonded_candidates, find_blocks
 from learn2assemble.planning.tiling.stack import block_masses
-from learn2assemble.planning.tiling.tile import BlockPlacement, Tiling, from_below, placement_cells
+from learn2assemble.planning.tiling.tile import Tiling
 from learn2assemble.statics.step_proof import EDGE_INSET, Stack, lies_above
 
 if TYPE_CHECKING:

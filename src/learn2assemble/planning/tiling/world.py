@@ -22,16 +22,15 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.assembly.kit import Cell, Kit, orientations
-from learn2assemble.planning.tiling.props import FIRM, choose_props
-from learn2assemble.planning.tiling.stack import find_stack
-from learn2assemble.planning.tiling.tile import (
+from learn2assemble.planning.tiling.candidates import (
     BlockPlacement,
     Candidates,
-    Tiling,
-    check_cells,
     convex_hull,
     find_candidates,
 )
+from learn2assemble.planning.tiling.props import FIRM, choose_props
+from learn2assemble.planning.tiling.stack import find_stack
+from learn2assemble.planning.tiling.tile import Tiling, check_cells
 from learn2assemble.statics.step_proof import EDGE_INSET, Proof, Stack, lies_below
 
 
