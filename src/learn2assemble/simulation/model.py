@@ -2,7 +2,8 @@
 
 Settings that hold a block by friction alone and let structures rest:
 
-- boxes are 0.25 mm thinner per side in x and y, so that neighbours do not rub, but not in z;
+- boxes are 0.25 mm thinner per side in x and y, so that neighbours do not rub, but not in z (the
+  plant of a cup has them as large as they are called);
 - impratio 10: more does not reduce the creep of a block in the hand, whose cause is that MuJoCo
   neglects the change of the contact Jacobian (what is held drifts outwards on every turn, by
   0.2-0.6 mm with the stiff pads of our arms and by 1-3 mm with soft ones), and with 100 the solver
