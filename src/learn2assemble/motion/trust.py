@@ -46,8 +46,10 @@ class Trusted:
         self.plant, self.setup, self.chain = plant, setup, get_chain(setup.arm)
         self.poses = {name: pose.copy() for name, pose in setup.waiting.items()}
         self.kinds = {name: name for name in setup.waiting}
-        self.held: tuple[str, np.ndarray, np.ndarray] | None = None
-        """The block in the hand, its place float64[3] and rotation in the tool frame."""
+        self.joined: dict[str, str] = {}
+        """Blocks that clutch the one they follow."""
+        self.held: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        """Blocks in the hand, and their places float64[3] and rotations in the tool frame."""
         covariance = np.diag([PLACE**2] * 3 + [TURN**2] * 3)
         self._covariance = covariance
 
@@ -71,28 +73,29 @@ class Trusted:
         report = self.plant.execute(motion, commands, guards)
         joints = self.plant.sense().joints
         self._follow(joints)
-        if report.stop in (Stop.VACUUM, Stop.WIDTH) and self.held is not None:
-            # It is anywhere; so it is seen nowhere.
-            self.poses.pop(self.held[0])
-            self.held = None
+        if report.stop in (Stop.VACUUM, Stop.WIDTH):
+            # They are anywhere; so they are seen nowhere.
+            for name in self.held:
+                self.poses.pop(name)
+            self.held = {}
         for command in commands:
             takes = command.vacuum
             if takes is None and command.width is not None:
                 takes = command.force > 0
             if takes is False:
-                self.held = None
-            elif takes and self.held is None and report.tool.vacuum is not False:
+                self.held, self.joined = {}, {}
+            elif takes and not self.held and report.tool.vacuum is not False:
                 self._take(joints)
         return report
 
     def _follow(self, joints: np.ndarray) -> None:
         """What is held is where the tool is."""
-        if self.held is None:
+        if not self.held:
             return
-        name, place, turn = self.held
         position, rotation = forward(self.chain, joints)
-        quaternion = matrix_quaternion(rotation @ turn)
-        self.poses[name] = np.concatenate([position + rotation @ place, quaternion])
+        for name, (place, turn) in self.held.items():
+            quaternion = matrix_quaternion(rotation @ turn)
+            self.poses[name] = np.concatenate([position + rotation @ place, quaternion])
 
     def _take(self, joints: np.ndarray) -> None:
         """The tool has taken what is nearest to its point."""
@@ -106,22 +109,24 @@ class Trusted:
             far += 1e-3 * float(np.linalg.norm(inside[:2]))
             if far < best:
                 nearest, best = name, far
-        if nearest:
-            pose = self.poses[nearest]
+        together = {nearest, *(one for one, lead in self.joined.items() if lead == nearest)}
+        for name in together & self.poses.keys():
+            pose = self.poses[name]
             place = rotation.T @ (pose[:3] - position)
-            self.held = nearest, place, rotation.T @ quaternion_matrix(pose[3:])
+            self.held[name] = place, rotation.T @ quaternion_matrix(pose[3:])
 
     def request(self, request: Request) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         report = self.plant.request(request)
-        if report.stop is Stop.END:
+        if report.stop is Stop.END and request.what == "join":
+            self.joined[request.block] = request.kind
+        elif report.stop is Stop.END:
             if request.what in ("present", "place"):
                 self.poses[request.block] = request.pose.copy()
                 self.kinds[request.block] = request.kind
             else:
                 self.poses.pop(request.block, None)
-            if self.held is not None and self.held[0] == request.block:
-                self.held = None
+            self.held.pop(request.block, None)
         return report
 
     def stop(self) -> None:
@@ -135,13 +140,12 @@ class Trusted:
     def state(self) -> dict[str, Any]:
         """What the file of a build keeps, from which another one goes on; what is in the hand then
         is taken out of it."""
-        held = None if self.held is None else self.held[0]
         return {
-            "poses": {name: p.tolist() for name, p in self.poses.items() if name != held},
+            "poses": {n: p.tolist() for n, p in self.poses.items() if n not in self.held},
             "kinds": self.kinds,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         """As :meth:`state` said."""
         self.poses = {name: np.array(pose) for name, pose in state["poses"].items()}
-        self.kinds, self.held = dict(state["kinds"]), None
+        self.kinds, self.held, self.joined = dict(state["kinds"]), {}, {}
