@@ -19,9 +19,9 @@ from learn2assemble.motion.plant import (
 )
 from learn2assemble.motion.setup import BlockKind, Setup
 from learn2assemble.motion.trust import Trusted
+from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.registry import get_arm
 
 ARM = get_arm("panda", "suction")
 
