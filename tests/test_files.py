@@ -319,7 +319,7 @@ def test_an_interrupt_that_a_compiler_drops_comes_again(
         return 0
 
     parser = SimpleNamespace(
-        parse_args=lambda _: SimpleNamespace(run=command, json=False, learns=False)
+        parse_args=lambda _: SimpleNamespace(run=command, json=False, verbose=False, learns=False)
     )
     monkeypatch.setattr("learn2assemble.cli.make_parser", lambda *_: parser)
     before = signal.getsignal(signal.SIGINT)

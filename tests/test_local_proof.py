@@ -7,7 +7,7 @@ import pytest
 
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.linear_programs import INF, Clock
-from learn2assemble.planning.tiling import exact, standing
+from learn2assemble.planning.tiling import finished, standing
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.planning.tiling.finished import stand
 from learn2assemble.planning.tiling.stack import find_stack
@@ -86,8 +86,8 @@ def test_a_tower_is_proven_with_few_programs(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_cuts_that_are_known_prove_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first tiling is tried again after some rounds; how it falls is known by then."""
-    monkeypatch.setattr(exact, "CUT_ROUNDS", 1)
-    monkeypatch.setattr(exact._Near, "decide", lambda *_: ("unknown", None))
+    monkeypatch.setattr(finished, "CUT_ROUNDS", 1)
+    monkeypatch.setattr(finished._NearPart, "decide", lambda *_: ("unknown", None))
     tiling = tile(random_design(np.random.default_rng(9)), KIT)
     assert stand(tiling, KIT, Clock(60.0)).status == "complete"
 
@@ -96,11 +96,11 @@ def test_a_large_building_that_falls_ends_after_a_few_tilings(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A count, as time depends on the machine; what was tried is said."""
-    monkeypatch.setattr(exact, "MAX_FALLEN", 30)
-    monkeypatch.setattr(exact._Near, "decide", lambda *_: ("unknown", None))
+    monkeypatch.setattr(finished, "MAX_FALLEN", 30)
+    monkeypatch.setattr(finished._NearPart, "decide", lambda *_: ("unknown", None))
     tiling = tile(random_design(np.random.default_rng(9)), KIT)
-    monkeypatch.setattr(exact, "MIN_ROUNDS", 1)
-    monkeypatch.setattr(exact, "CUT_ROUNDS", 1)
+    monkeypatch.setattr(finished, "MIN_ROUNDS", 1)
+    monkeypatch.setattr(finished, "CUT_ROUNDS", 1)
     stood = stand(tiling, KIT, Clock(60.0))
     assert stood.status == "not found"
     assert "4 tilings that were tried" in stood.reason
@@ -114,8 +114,8 @@ def test_a_program_that_timed_out_is_not_asked_again(monkeypatch: pytest.MonkeyP
         asked.append(given[3])
         return "time", None
 
-    monkeypatch.setattr(exact, "tile_standing", too_slow)
-    monkeypatch.setattr(exact, "CUT_ROUNDS", 0)
+    monkeypatch.setattr(finished, "tile_standing", too_slow)
+    monkeypatch.setattr(finished, "CUT_ROUNDS", 0)
     tiling = tile(random_design(np.random.default_rng(9)), KIT)
     stand(tiling, KIT, Clock(60.0))
     assert 1 <= len(asked) <= 2

@@ -245,7 +245,7 @@ def order(
     status, reason, falls, stuck = "complete", "", (), []
     if clock.left <= 0 and not (found.complete and len(steps) == len(doings)):
         status = "time"
-        reason = f"time ran out after {seconds:g} s with {len(steps)} steps proven; {MORE_TIME}"
+        reason = f"time ran out with {len(steps)} steps proven; {MORE_TIME}"
     elif not found.complete:
         stuck = sorted(rules.stuck(found), key=lambda b: blocks[b].prop)
         status, reason = "not found", _why_stuck(blocks[stuck[0]], stuck[0], found.last.state, law)
