@@ -10,9 +10,9 @@ from hypothesis import settings
 from headless import find_browser
 from make_recordings import REFERENCE, SAMPLE
 
-# The same examples on every machine; `pytest -m hypothesis --hypothesis-profile=default` looks for
-# others.
-settings.register_profile("repeatable", derandomize=True)
+# The same examples on every machine, however slow it is; `pytest -m hypothesis
+# --hypothesis-profile=default` looks for others.
+settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
 
 
