@@ -145,6 +145,34 @@ def test_a_block_is_taken_up_and_set_down_by_touch(physics: str) -> None:
     assert np.abs(seen.pose[:3] - PLACE[:3]).max() < 1e-3
 
 
+def test_a_cup_at_the_side_that_hangs_beside_another_block_does_not_take_its_place() -> None:
+    """The nearest lip is the idle one; what the tool comes to is under the other."""
+    arm, high = get_arm("panda", "suction-side"), 1.2e-3
+    tall = BlockKind((Part((0.0, 0.0, 0.0), (0.02, 0.02, 0.06)),), 600.0)
+
+    def at(height: float) -> np.ndarray:
+        found = solve(arm, PLACE[:3] + [0, 0, height], Attitude().rotation(), arm.home)
+        assert found.ok
+        return found.joints
+
+    assert arm.suction is not None
+    lip, turn = arm.suction.cups[1].lip, Attitude().rotation()
+    beside = PLACE[:3] + [0, 0, 0.025] + turn @ (np.array(lip.at) + 0.021 * np.array(lip.axis))
+    other = np.array([*beside[:2], 0.06, 1.0, 0.0, 0.0, 0.0])
+    plant = simulated(Setup(arm, {"a": BRICK, "b": tall}, {"a": PLACE, "b": other}))
+    above, touching = at(0.1), at(0.025 + high)
+    assert plant.execute(way("approach", arm.home, above, 2.0)).stop == Stop.END
+    assert plant.execute(way("pick", above, touching, 1.0)).stop == Stop.END
+    on = (ToolCommand(vacuum=True),)
+    made = plant.execute(standing("pick", touching, 0.5), on, (Guard(hold="made"),))
+    assert made.stop == Stop.HELD
+    kept = (Guard(hold="kept"),)
+    assert plant.execute(way("lift", touching, above, 1.0), (), kept).stop == Stop.END
+    seen = {one.block: one.pose for one in plant.sense().blocks}
+    assert abs(seen["a"][2] - 0.1) < 2e-3
+    assert np.abs(seen["b"][:3] - other[:3]).max() < 1e-3
+
+
 @pytest.mark.parametrize("physics", ["dynamic", "kinematic"])
 def test_a_vacuum_on_nothing_is_not_made(physics: str) -> None:
     plant = simulated(setup(physics))

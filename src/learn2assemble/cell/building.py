@@ -154,7 +154,7 @@ class Building:
             text = (
                 f"{how}: {last.what} {piece.id} ({piece.name}): {last.outcome}, {left} steps left"
             )
-            progress(Detail(text) if last.outcome == "reached" else text)
+            progress(Detail(text) if last.outcome == Outcome.REACHED.label else text)
         return f"given up after {most} attempts"
 
     # ------------------------------------------------------------ one attempt

@@ -52,7 +52,7 @@ LEANS = math.radians(2.0)
 """... and so is one that leans or is turned by more [rad]."""
 FLAT = math.radians(4.0)
 """What leans more cannot be picked up [rad]."""
-FLUSH = math.radians(1.0)
+SEEMS_FLAT = math.radians(1.0)
 """What seems to lean by less rests on its face [rad]."""
 HIDDEN = 0.05
 """Blocks in a magazine lie so far under the table [m]."""
@@ -261,13 +261,13 @@ class WorkcellBlocks:
 
     def resting(self, piece: int) -> np.ndarray:
         """float64[7]: where a block lies, on the face on which it waits or stands where it seems to
-        lean by no more than :data:`FLUSH`: it rests on it, and a tool that takes it lies flush."""
+        lean by no more than :data:`SEEMS_FLAT`: it rests on it, and a tool that takes it lies flush."""
         pose, one = self.pose[piece].copy(), self.pieces[piece]
         now, up = quaternion_matrix(pose[3:]), on_table(self.table, np.array([0.0, 0.0, 1.0]))
         up -= [0.0, 0.0, self.table[0]]
         for turn in (one.rest, one.turn):
             across = np.cross(now @ turn[2], up)
-            if np.linalg.norm(across) < FLUSH and now @ turn[2] @ up > 0:
+            if np.linalg.norm(across) < SEEMS_FLAT and now @ turn[2] @ up > 0:
                 pose[3:] = matrix_quaternion(rotation_of(across) @ now)
                 break
         return pose
@@ -287,14 +287,14 @@ class WorkcellBlocks:
         )
 
     def drawn(self, piece: int) -> np.ndarray:
-        """float64[7]: the same on a table that is as it should be."""
+        """float64[7]: the pose it has in the finished structure, or beside it where it is built
+        there, on a table that is as it should be."""
         pose = self.pieces[piece].pose.copy()
         pose[:3] += self.beside[piece]
         return pose
 
     def target(self, piece: int) -> np.ndarray:
-        """float64[7]: the pose it has in the finished structure, or beside it where it is built
-        there, on the table as it is believed to be."""
+        """float64[7]: the pose :meth:`drawn`, on the table as it is believed to be."""
         pose = self.drawn(piece)
         if not self.table.any():
             return pose

@@ -39,6 +39,9 @@ LONGEST_REST = 2.0
 """Blocks that somebody has touched are left alone for so long at most [s]."""
 MOVING = 1e-3
 """What moves faster stays free [m/s], [rad/s]."""
+LATELY, FACING = 0.8, 0.7
+"""How a tool comes is seen from this share of the motion on; cosine of the angle between that way
+and the axis of a cup that faces it. Another cup may hang beside what is not meant."""
 THINNER = 0.0
 """How much thinner boxes are on their upright sides [m]. Bricks that clutch are so by what is left
 free between them, and what simulated fingers hold by :data:`~.model.SHRINK`: it drifts in the hand
@@ -167,9 +170,7 @@ class DynamicPlant(SimulatedCell):
         sim, chain = self.bench.sim, get_chain(self.arm)
         point, turn = forward(chain, motion.joints[-1])
         held = self._held()
-        cups = () if self.arm.suction is None else self.arm.suction.cups
-        lips = [point + turn @ np.array(cup.lip.at) for cup in cups]
-        aim = held or nearest(self.things, lips or [point], AIM)
+        aim = held or nearest(self.things, self._comes(motion, point, turn), AIM)
         if aim is None:
             return
         scene, rows = self._scene()
@@ -193,6 +194,22 @@ class DynamicPlant(SimulatedCell):
             self._enter(needed | {aim})
         if not held:
             self.bench.sim.aim(self.number[aim])
+
+    def _comes(self, motion: Motion, point: np.ndarray, turn: np.ndarray) -> list[np.ndarray]:
+        """float64[3] each: with what an empty tool comes to something in the end: the point between
+        the pads, or the lips of the cups that face the way it comes.
+
+        Args:
+            point: of the tool at the end, with its rotation ``turn``.
+        """
+        if self.arm.suction is None:
+            return [point]
+        before = motion.at(np.array([LATELY * motion.seconds]))[0][0]
+        way = point - forward(get_chain(self.arm), before)[0]
+        length = float(np.linalg.norm(way))
+        cups = self.arm.suction.cups
+        ahead = [c for c in cups if turn @ np.array(c.lip.axis) @ way > FACING * length]
+        return [point + turn @ np.array(cup.lip.at) for cup in ahead or cups]
 
     def _held(self) -> str | None:
         """The block in the hand."""
