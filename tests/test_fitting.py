@@ -12,7 +12,9 @@ from numpy.testing import assert_allclose
 from learn2assemble.assembly.blocks import Assembly, box_block
 from learn2assemble.cell.fitting import OPEN, STRAYS, Fitting
 from learn2assemble.cell.pieces import pieces_of
-from learn2assemble.cell.workcell import FLUSH, PLACED, Job, WorkcellBlocks
+from learn2assemble.cell.workcell import Job
+from learn2assemble.cell.world import SEEMS_FLAT
+from learn2assemble.cell.world import PLACED, WorkcellBlocks
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, rotation_of
 from learn2assemble.robot.arm import get_arm
 
@@ -122,7 +124,7 @@ def test_what_seems_to_lean_a_little_rests_on_its_face() -> None:
     world = row(1)
     stand(world, 0, 0.0)
     upright = world.pose[0].copy()
-    for lean, rests in ((0.5 * FLUSH, True), (2 * FLUSH, False)):
+    for lean, rests in ((0.5 * SEEMS_FLAT, True), (2 * SEEMS_FLAT, False)):
         turn = rotation_of(np.array([0.6 * lean, 0.8 * lean, 0.0]))
         world.pose[0, 3:] = matrix_quaternion(turn @ quaternion_matrix(upright[3:]))
         lies = quaternion_matrix(world.resting(0)[3:])[2, 2]

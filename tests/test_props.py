@@ -14,7 +14,7 @@ from l2a_lab import shapes
 from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.cell.carry_out import Workcell, carry_out
 from learn2assemble.cell.pieces import PROP_ROOM, pieces_of
-from learn2assemble.cell.workcell import Rows, way_out
+from learn2assemble.cell.world import Rows, way_out
 from learn2assemble.constants import GRAVITY
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError

@@ -151,13 +151,15 @@ def test_a_cup_at_the_side_that_hangs_beside_another_block_does_not_take_its_pla
     tall = BlockKind((Part((0.0, 0.0, 0.0), (0.02, 0.02, 0.06)),), 600.0)
 
     def at(height: float) -> np.ndarray:
-        found = solve(arm, PLACE[:3] + [0, 0, height], Attitude().rotation(), arm.home)
+        found = solve(arm, PLACE[:3] + np.array([0, 0, height]), Attitude().rotation(), arm.home)
         assert found.ok
         return found.joints
 
     assert arm.suction is not None
     lip, turn = arm.suction.cups[1].lip, Attitude().rotation()
-    beside = PLACE[:3] + [0, 0, 0.025] + turn @ (np.array(lip.at) + 0.021 * np.array(lip.axis))
+    beside = (
+        PLACE[:3] + np.array([0, 0, 0.025]) + turn @ (np.array(lip.at) + 0.021 * np.array(lip.axis))
+    )
     other = np.array([*beside[:2], 0.06, 1.0, 0.0, 0.0, 0.0])
     plant = simulated(Setup(arm, {"a": BRICK, "b": tall}, {"a": PLACE, "b": other}))
     above, touching = at(0.1), at(0.025 + high)

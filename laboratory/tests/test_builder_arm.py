@@ -15,7 +15,7 @@ from l2a_lab.builder.measure_arm import WAYS, compare
 from l2a_lab.builder.network import load_builder
 from l2a_lab.builder.search import build
 from learn2assemble.assembly.kit import load_kit
-from learn2assemble.cell import workcell
+from learn2assemble.cell import world as cells
 from learn2assemble.cell.carry_out import Workcell
 from learn2assemble.cell.pieces import pieces_of
 from learn2assemble.cell.site import Obstacle, Site
@@ -57,12 +57,12 @@ def test_the_scene_is_that_of_the_build() -> None:
     blocks = tuple(site.placement(c) for c in [*world.placed, nxt])
     assembly = to_assembly(Tiling(blocks, site.wanted, "complete"), None, site.kit)
     job = replace(hand.job, pieces=pieces_of(assembly), steps=(), assembly=assembly)
-    other = workcell.WorkcellBlocks(job)
+    other = cells.WorkcellBlocks(job)
     for k in range(len(world.placed)):
-        other.pose[k], other.state[k] = other.target(k), workcell.STANDING
+        other.pose[k], other.state[k] = other.target(k), cells.STANDING
     last = len(world.placed)
-    other.pose[last] = other.presented(last, workcell.supply_of(other, last)[0])
-    expected = workcell.rows_of(other, other.pose, last)
+    other.pose[last] = other.presented(last, cells.supply_of(other, last)[0])
+    expected = cells.rows_of(other, other.pose, last)
     seen = []
     attempt = hand.cell.attempt
     hand.cell.attempt = lambda scene, move: seen.append((scene, move)) or attempt(scene, move)
@@ -75,7 +75,7 @@ def test_the_scene_is_that_of_the_build() -> None:
     assert expected.scene.density is not None
     np.testing.assert_allclose(scene.density, expected.scene.density)
     np.testing.assert_allclose(scene.orientation, expected.scene.orientation, atol=1e-12)
-    ways = list(workcell.moves(other, expected, last, other.target(last)))
+    ways = list(cells.moves(other, expected, last, other.target(last)))
     assert any(np.allclose(move.target, way.target) and move.place == way.place for way in ways)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from l2a_lab.workbenchmark import LAYER, MIDDLE, play, product_of, read_tasks, site_of
 from learn2assemble.cell.carry_out import Workcell, prepare
-from learn2assemble.cell.workcell import WorkcellBlocks
+from learn2assemble.cell.world import WorkcellBlocks
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError
 from learn2assemble.planning.brick_plan import plan_for_arm

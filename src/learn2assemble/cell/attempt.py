@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from learn2assemble.cell.sight import Sight
-from learn2assemble.cell.workcell import Job, Rows
+from learn2assemble.cell.workcell import Job
+from learn2assemble.cell.world import Rows
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.plant import Plant, ToolCommand
 from learn2assemble.motion.record import RATE, Stage

@@ -14,7 +14,9 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.bricks.lattice import GROUND, grip
 from learn2assemble.assembly.bricks.mates import BrickMates, Press
-from learn2assemble.cell.workcell import STANDING, Job, Rows, Structure, WorkcellBlocks
+from learn2assemble.cell.arrange import Structure
+from learn2assemble.cell.workcell import Job
+from learn2assemble.cell.world import STANDING, Rows, WorkcellBlocks
 from learn2assemble.robot.studs import StudJoint, Studs
 from learn2assemble.statics.holding import Push
 from learn2assemble.statics.holding_check import stands_by_joints

@@ -11,29 +11,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from learn2assemble.cell.arrange import Arranged, Structure, describe
 from learn2assemble.cell.attempt import Attempts, Came
 from learn2assemble.cell.journal import Recording, append_state, packed, read_states
 from learn2assemble.cell.sight import Sight
 from learn2assemble.cell.state import Action, Choice, Done
-from learn2assemble.cell.workcell import (
-    DOWN,
+from learn2assemble.cell.workcell import DOWN, ROOMS, TRIES, Direction, Job, Progress, Workcell
+from learn2assemble.cell.world import (
     FLAT,
     LOOSE,
     LOST,
     MISSING,
     RETURNED,
-    ROOMS,
     STANDING,
     STOCK,
-    TRIES,
-    Arranged,
-    Direction,
-    Job,
-    Progress,
     Rows,
-    Structure,
-    Workcell,
-    describe,
     moves,
     named,
     rows_of,

@@ -10,23 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from learn2assemble.cell.arrange import Structure, arrange
 from learn2assemble.cell.bricks import BrickStructure
 from learn2assemble.cell.building import Building, Kept, Prepared
 from learn2assemble.cell.cameras import through_cameras
 from learn2assemble.cell.reach import cells_of, set_up
 from learn2assemble.cell.report import Witness, arm_report, carried_out, words_of
 from learn2assemble.cell.taking_apart import arrange_bricks, plan_in_order
-from learn2assemble.cell.workcell import (
-    OBSTACLE_DENSITY,
-    Job,
-    Progress,
-    StepOf,
-    Structure,
-    Workcell,
-    WorkcellBlocks,
-    arrange,
-    job_of,
-)
+from learn2assemble.cell.workcell import Job, Progress, StepOf, Workcell, job_of
+from learn2assemble.cell.world import OBSTACLE_DENSITY, WorkcellBlocks
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.motion.plant import Plant, PlantError
 from learn2assemble.motion.setup import BlockKind, Setup, open_plant

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from learn2assemble.cell.workcell import HIDDEN, OBSTACLE_DENSITY, Rows, WorkcellBlocks
+from learn2assemble.cell.world import HIDDEN, OBSTACLE_DENSITY, Rows, WorkcellBlocks
 from learn2assemble.errors import InputError
 from learn2assemble.files import append_line, unwritable, write_file
 from learn2assemble.geometry.hulls import Hull

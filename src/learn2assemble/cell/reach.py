@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from learn2assemble.cell.arrange import try_step
 from learn2assemble.cell.pieces import (
     QUARTER,
     Piece,
@@ -26,17 +27,15 @@ from learn2assemble.cell.pieces import (
     with_rests,
 )
 from learn2assemble.cell.site import Site, Source, given_sources, outline, rests_of
-from learn2assemble.cell.workcell import (
+from learn2assemble.cell.workcell import Job, StepOf
+from learn2assemble.cell.world import (
     LOOSE,
     RETURNED,
     STANDING,
-    Job,
     Rows,
-    StepOf,
     WorkcellBlocks,
     moves,
     rows_of,
-    try_step,
 )
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import quaternion_matrix

@@ -14,7 +14,8 @@ import numpy as np
 
 from learn2assemble.assembly.blocks import AssemblyStep
 from learn2assemble.cell.building import ASIDE, Building
-from learn2assemble.cell.workcell import STANDING, Job, StepOf, Workcell
+from learn2assemble.cell.workcell import Job, StepOf, Workcell
+from learn2assemble.cell.world import STANDING
 from learn2assemble.geometry.hulls import separation
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.planning.plan import ArmFailure, ArmReport, Plan, Step

@@ -21,7 +21,7 @@ from learn2assemble.cell.belief import (
     fused,
     read,
 )
-from learn2assemble.cell.workcell import LOOSE, LOST, MISSING, STANDING, WorkcellBlocks
+from learn2assemble.cell.world import LOOSE, LOST, MISSING, STANDING, WorkcellBlocks
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
 from learn2assemble.motion.plant import Plant, Readings, ToolReading
 from learn2assemble.robot.arm import Arm

@@ -11,21 +11,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from learn2assemble.cell.arrange import Arranged, Structure
 from learn2assemble.cell.fitting import Fitting
 from learn2assemble.cell.pieces import Piece
-from learn2assemble.cell.workcell import (
-    LEANS,
+from learn2assemble.cell.workcell import LEANS, STANDS, TRIES, Job, StepOf
+from learn2assemble.cell.world import (
     LOOSE,
     LOST,
     RETURNED,
     STANDING,
-    STANDS,
     STOCK,
-    TRIES,
-    Arranged,
-    Job,
-    StepOf,
-    Structure,
     WorkcellBlocks,
     supply_of,
 )

@@ -17,18 +17,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from learn2assemble.assembly.bricks.lattice import GROUND
+from learn2assemble.cell.arrange import Arranged, try_step
 from learn2assemble.cell.bricks import BrickStates, BrickStructure
-from learn2assemble.cell.workcell import (
-    ROOMS,
-    STANDING,
-    Arranged,
-    Job,
-    Offset,
-    Progress,
-    StepOf,
-    WorkcellBlocks,
-    try_step,
-)
+from learn2assemble.cell.workcell import ROOMS, Job, Offset, Progress, StepOf
+from learn2assemble.cell.world import STANDING, WorkcellBlocks
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.sequence import depth_first
 from learn2assemble.progress import silent

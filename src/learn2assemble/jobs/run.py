@@ -20,7 +20,8 @@ from learn2assemble.cell.carry_out import key_of, prepare, setup_of
 from learn2assemble.cell.report import Witness, carried_out, words_of
 from learn2assemble.cell.site import Site, read_site
 from learn2assemble.cell.state import Action
-from learn2assemble.cell.workcell import MISSING, Workcell
+from learn2assemble.cell.workcell import Workcell
+from learn2assemble.cell.world import MISSING
 from learn2assemble.errors import InputError
 from learn2assemble.motion.plant import (
     Guard,

@@ -1,0 +1,338 @@
+"""The order in which an arm builds: what stands at every step, and what the tool reaches."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from learn2assemble.cell.workcell import DOWN, Direction, Job, Progress, StepOf
+from learn2assemble.cell.world import (
+    RETURNED,
+    STANDING,
+    Rows,
+    WorkcellBlocks,
+    direction_of,
+    moves,
+    named,
+    rows_of,
+    supply_of,
+)
+from learn2assemble.planning.clearance import ways_out
+from learn2assemble.robot.kinematic import KinematicCell
+from learn2assemble.robot.moves import Attempt
+from learn2assemble.robot.studs import Studs
+from learn2assemble.statics.proofs import BED, TIGHT
+
+if TYPE_CHECKING:
+    from learn2assemble.assembly.contacts import Contacts
+
+LEANING = 0.02
+"""A joint leans where the height of its normal is neither 0 nor 1 by more."""
+STEEP_JOINT = 0.9
+"""Where the height of its normal is less, a block does not come straight down on a joint."""
+LOW_WAY, MORE_WAYS = 0.3, 2
+"""Height of the directions from which a block may come, at least, and how many further ones are
+tried where blocks lean."""
+
+
+@dataclass(frozen=True)
+class Arranged:
+    """An order the arm can carry out, or why there is none."""
+
+    steps: tuple[StepOf, ...]
+    stuck: dict[int, str]
+    """By piece, why it cannot be placed or taken away; empty where the order is complete."""
+    by_hand: frozenset[StepOf] = frozenset()
+    """Steps that the arm cannot do."""
+
+
+class Structure:
+    """What rests on what, and whether a state stands.
+
+    Args:
+        job: its assembly is proven.
+    """
+
+    def __init__(self, job: Job) -> None:
+        from learn2assemble.assembly.contacts import add_point_contacts, find_contacts
+        from learn2assemble.statics.rigid_blocks import bed_patches
+
+        self.job, self.contacts = job, find_contacts(job.assembly)
+        self.lying = self.contacts.only(bed_patches(self.contacts))
+        count = len(job.pieces)
+        self.below: list[set[int]] = [set() for _ in range(count)]
+        self.above: list[set[int]] = [set() for _ in range(count)]
+        lying = self.lying
+        for a, b, normal in zip(lying.a.tolist(), lying.b.tolist(), lying.normal, strict=True):
+            self._rests(a, b, float(normal[2]))
+        self.leans = self._leaning()
+        last = {step.block for step in job.steps} - {
+            step.block for step in job.steps if step.remove
+        }
+        if self._pressing(frozenset(last)) is None:
+            # Edges and points carry.
+            self.contacts, _ = add_point_contacts(job.assembly, self.contacts)
+            self._leaning()
+            self.leans = True
+        standing: set[int] = set()
+        self._proven = {frozenset(standing)}
+        for step in job.steps:
+            standing = standing - {step.block} if step.remove else standing | {step.block}
+            self._proven.add(frozenset(standing))
+
+    def _rests(self, a: int, b: int, up: float) -> None:
+        """A block, a or b, rests on the other one; ``up`` is the normal towards b."""
+        lower, upper = (a, b) if up > 0 else (b, a)
+        if upper >= 0 and lower >= 0:
+            self.below[upper].add(lower)
+            self.above[lower].add(upper)
+
+    def _leaning(self) -> bool:
+        """Take up what leans on what, where joints lean: in the order of the steps, as what leans
+        on two others is placed when both are there; whether any does."""
+        place = {step.block: n for n, step in enumerate(self.job.steps) if not step.remove}
+        ends = zip(self.contacts.a.tolist(), self.contacts.b.tolist(), strict=True)
+        found = False
+        for (a, b), normal in zip(ends, self.contacts.normal, strict=True):
+            steep = abs(float(normal[2]))
+            if not LEANING < steep < 1 - LEANING:
+                continue
+            found = True
+            lower, upper = (a, b) if normal[2] > 0 else (b, a)
+            if upper >= 0 and lower >= 0 and place.get(lower, 0) < place.get(upper, 0):
+                self._rests(a, b, float(normal[2]))
+        return found
+
+    def ways_in(self, block: int, standing: set[int]) -> tuple[Direction, ...]:
+        """Unit vectors along which a block may come to its place, the best ones first: straight
+        down, or at right angles to the joints on which it comes to lean where these are steep;
+        where blocks lean also others that lead away from all it touches."""
+        if not self.leans:
+            return (DOWN,)
+        faces = self.contacts
+        touched = [
+            normal if b == block else -normal
+            for a, b, normal in zip(faces.a.tolist(), faces.b.tolist(), faces.normal, strict=True)
+            if block in (a, b) and (a if b == block else b) in {*standing, -1}
+        ]
+        carried = [normal for normal in touched if normal[2] > LEANING]
+        if not carried:
+            return (DOWN,)
+        normals, up = np.array(touched), np.array([0.0, 0.0, 1.0])
+        mean = np.sum(carried, axis=0)
+        best = [mean / np.linalg.norm(mean), up]
+        if min(float(normal[2]) for normal in carried) > STEEP_JOINT:
+            best.reverse()
+        best = [way for way in best if way is up or (normals @ way).min() > -1e-6]
+        others = ways_out(normals)
+        others = others[others[:, 2] > LOW_WAY]
+        room = (others @ normals.T).min(1)
+        best += list(others[np.argsort(-room, kind="stable")[:MORE_WAYS]])
+        return tuple(direction_of(-way) for way in best)
+
+    def stands(self, standing: frozenset[int]) -> bool:
+        """Whether these pieces stand without the others, by the proof of the plan or another."""
+        if standing not in self._proven and self._pressing(standing) is not None:
+            self._proven.add(standing)
+        return standing in self._proven
+
+    def proof(self, standing: frozenset[int]) -> tuple[str, float] | None:
+        """What shows that these pieces stand without the others, and the sideways acceleration
+        in every direction [g] that they withstand; None where nothing shows it."""
+        from learn2assemble.statics.rigid_blocks import margin
+
+        pressing = self._pressing(standing)
+        if pressing is None:
+            return None
+        present = self._present(standing)
+        worth = margin(self.job.assembly, pressing, self.job.friction, present=present)
+        return BED if pressing is self.lying else TIGHT, worth
+
+    def _pressing(self, standing: frozenset[int]) -> Contacts | None:
+        """The joints whose forces can hold these pieces: horizontal ones alone, or all."""
+        from learn2assemble.statics.rigid_blocks import solve
+
+        present = self._present(standing)
+        for contacts in (self.lying, self.contacts):
+            if solve(self.job.assembly, contacts, self.job.friction, present=present).stands:
+                return contacts
+        return None
+
+    def _present(self, standing: frozenset[int]) -> np.ndarray:
+        present = np.zeros(len(self.job.pieces), bool)
+        present[list(standing)] = True
+        return present
+
+    def joints_of(
+        self, world: WorkcellBlocks, rows: Rows, placing: bool, group: tuple[int, ...] = ()
+    ) -> Studs | None:
+        """The joints of studs of a scene, in its rows; None: there are no studs."""
+        return None
+
+    def studs(self) -> Studs | None:
+        """All joints of studs, whose cells are pieces; None: there are none."""
+        return None
+
+    def loose(self, block: int, world: WorkcellBlocks) -> bool:
+        """Whether a block in its place is not pressed home."""
+        return False
+
+    def press_at(
+        self, block: int, group: tuple[int, ...], standing: set[int]
+    ) -> tuple[float, float] | None:
+        """Where a block that comes to its place, perhaps with others, is pressed home, x and y from
+        its own middle [m]; None: it is not pressed."""
+        return None
+
+    def loads(self, block: int, standing: set[int]) -> list[int]:
+        """Pieces among ``standing`` that rest on a piece, directly or not, the topmost first."""
+        found, queue = [], [block]
+        for one in queue:
+            for upper in sorted(self.above[one] & standing):
+                if upper not in found:
+                    found.append(upper)
+                    queue.append(upper)
+        return sorted(found, key=lambda k: -self.job.pieces[k].target[2])
+
+
+def segments(steps: Sequence[StepOf]) -> list[list[StepOf]]:
+    """The steps cut where a block is taken away: only placements of one part change places."""
+    return [list(group) for _, group in itertools.groupby(steps, key=lambda step: step.remove)]
+
+
+def priorities(job: Job, leans: bool) -> list[Callable[[int], tuple[float, ...]]]:
+    """Which block comes first where several could; tried one after the other.
+
+    Args:
+        leans: the blocks lean on one another, and what stands is a matter of the whole order.
+    """
+    place = {step.block: n for n, step in enumerate(job.steps) if not step.remove}
+
+    def level(k: int) -> float:
+        return round(float(job.pieces[k].extent[0][2]), 4)
+
+    def away(k: int) -> float:
+        return round(float(np.linalg.norm(job.pieces[k].target[:2] - job.base)), 4)
+
+    def as_planned(k: int) -> tuple[float, ...]:
+        return (float(place[k]),)
+
+    if leans:
+        return [as_planned]
+    return [
+        lambda k: (level(k), -away(k)),
+        lambda k: (level(k), float(place[k])),
+        lambda k: (level(k), away(k)),
+        as_planned,
+    ]
+
+
+def arrange(
+    job: Job, structure: Structure, cell: KinematicCell, progress: Progress = lambda text: None
+) -> Arranged:
+    """The first order in which the arm reaches everything; else the one that comes farthest."""
+    best: Arranged | None = None
+    for key in priorities(job, structure.leans):
+        found = _arrange(job, structure, cell, key, progress)
+        if best is None or len(found.steps) > len(best.steps):
+            best = found
+        if not found.stuck or job.arm.suction is not None:
+            break
+    assert best is not None
+    return best
+
+
+def _arrange(
+    job: Job,
+    structure: Structure,
+    cell: KinematicCell,
+    key: Callable[[int], Any],
+    progress: Progress,
+) -> Arranged:
+    world = WorkcellBlocks(job)
+    standing: set[int] = set()
+    order: list[StepOf] = []
+    by_hand: set[StepOf] = set()
+    for part in segments(job.steps):
+        left = part if part[0].remove else sorted(part, key=lambda step: key(step.block))
+        while left:
+            stuck: dict[int, str] = {}
+            for step in left:
+                if not step.remove and not structure.below[step.block] <= standing:
+                    continue
+                after = standing - {step.block} if step.remove else standing | {step.block}
+                if not structure.stands(frozenset(after)):
+                    stuck.setdefault(step.block, "it would fall")
+                    continue
+                why = try_step(world, cell, step, structure.ways_in(step.block, standing))
+                if why is None:
+                    break
+                if job.hands and job.pieces[step.block].prop:
+                    by_hand.add(step)
+                    break
+                stuck[step.block] = why
+                if step.remove:
+                    return Arranged(tuple(order), stuck, frozenset(by_hand))
+            else:
+                missing = {s.block: "what it stands on is missing" for s in left}
+                return Arranged(tuple(order), missing | stuck, frozenset(by_hand))
+            left.remove(step)
+            order.append(step)
+            standing = after
+            world.pose[step.block] = world.target(step.block)
+            world.state[step.block] = RETURNED if step.remove else STANDING
+            if len(order) % 20 == 0:
+                progress(f"an order the arm can reach: step {len(order)} of {len(job.steps)}")
+    return Arranged(tuple(order), {}, frozenset(by_hand))
+
+
+def try_step(
+    world: WorkcellBlocks,
+    cell: KinematicCell,
+    step: StepOf,
+    into: Sequence[Direction] = (DOWN,),
+    press: tuple[float, float] | None = None,
+) -> str | None:
+    """Why the arm cannot do a step in a world where everything is as planned; None if it can.
+
+    Args:
+        into: unit vectors along which the block may come to its place.
+        press: see :func:`moves`.
+    """
+    k = step.block
+    before = world.pose[k].copy()
+    try:
+        why, supplied = "", False
+        for at, goal in _ends(world, step):
+            supplied = True
+            if at is not None:
+                world.pose[k] = at
+            rows = rows_of(world, world.pose, k, group=step.group)
+            for move in moves(world, rows, k, goal, (DOWN,) if step.remove else into, press):
+                found = cell.attempt(rows.scene, move)
+                if found.reached:
+                    return None
+                why = why or named(describe(found), rows, world)
+        return why or ("the tool cannot hold it" if supplied else "no supply")
+    finally:
+        world.pose[k] = before
+
+
+def _ends(world: WorkcellBlocks, step: StepOf) -> Iterator[tuple[np.ndarray | None, np.ndarray]]:
+    """Where the block of a step may come from, None for where it stands, and where it goes."""
+    k = step.block
+    if step.group:
+        yield None, world.pieces[k].pose
+        return
+    for source in supply_of(world, k):
+        at = world.presented(k, source)
+        yield (None, at) if step.remove else (at, world.target(k))
+
+
+def describe(found: Attempt) -> str:
+    """Outcome, stage and reason of an attempt that failed, in words."""
+    return f"{found.outcome.label} ({found.stage}): {found.detail}"
