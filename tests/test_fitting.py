@@ -13,8 +13,7 @@ from learn2assemble.assembly.blocks import Assembly, box_block
 from learn2assemble.cell.fitting import OPEN, STRAYS, Fitting
 from learn2assemble.cell.pieces import pieces_of
 from learn2assemble.cell.workcell import Job
-from learn2assemble.cell.world import SEEMS_FLAT
-from learn2assemble.cell.world import PLACED, WorkcellBlocks
+from learn2assemble.cell.world import PLACED, SEEMS_FLAT, WorkcellBlocks
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, rotation_of
 from learn2assemble.robot.arm import get_arm
 
