@@ -18,6 +18,7 @@ from learn2assemble.assembly.joints import DRY, Joint, JointOf, joint_of_json, j
 from learn2assemble.assembly.values import Colour, coordinates
 from learn2assemble.errors import InputError, check_name, is_number
 from learn2assemble.geometry.hulls import convex_hull
+from learn2assemble.geometry.rotations import cross_rows
 from learn2assemble.values import By
 
 MAX_VERTICES = 20_000
@@ -34,6 +35,8 @@ FLAT = 1e-6
 
 _BOX_FACES = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
 """Of a box whose vertex number has bit 0 for x, bit 1 for y and bit 2 for z."""
+_BOX_CORNERS = np.arange(8)[:, None] >> np.arange(3) & 1
+"""int64[8, 3]: which end of the box a vertex has along x, y and z."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,18 +83,23 @@ class Block:
         vertices.setflags(write=False)
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces)
-        size = float(np.ptp(vertices, axis=0).max())
+        size = self.extent
         if not self.volume > THINNEST * size**3:
             inside_out = self.volume < -THINNEST * size**3
             expected = "faces counter-clockwise from outside" if inside_out else "more than 0"
             raise InputError(f"{where}: volume", self.volume, expected)
 
     @cached_property
+    def extent(self) -> float:
+        """The largest of its extents along the axes [m]."""
+        return float((self.vertices.max(0) - self.vertices.min(0)).max())
+
+    @cached_property
     def _moments(self) -> tuple[float, np.ndarray]:
         """Volume and centroid from the tetrahedra between a vertex and every face."""
         origin = self.vertices[0]
         corners = fan_triangles(self.vertices - origin, self.faces)
-        six = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+        six = np.einsum("ij,ij->i", corners[:, 0], cross_rows(corners[:, 1], corners[:, 2]))
         total = six.sum()
         if abs(total) < 1e-300:
             return 0.0, origin
@@ -128,7 +136,7 @@ class Block:
         solid = length > 1e-12 * length.max()
         normal, foot = normal[solid] / length[solid, None], corners[solid, 0]
         over = self.vertices @ normal.T - np.einsum("ij,ij->i", normal, foot)
-        return bool(over.max() <= FLAT * np.ptp(self.vertices, axis=0).max())
+        return bool(over.max() <= FLAT * self.extent)
 
 
 Action = Literal["place", "remove", "hold", "release"]
@@ -228,7 +236,7 @@ class Assembly:
             twice = Counter(block.id for block in self.blocks).most_common(1)[0][0]
             raise InputError("block id", twice, "every id once")
         object.__setattr__(self, "_index", index)
-        sizes = [float(np.ptp(block.vertices, axis=0).max()) for block in self.blocks]
+        sizes = [block.extent for block in self.blocks]
         for block, size in zip(self.blocks, sizes, strict=True):
             thin = block.volume < 3 * SMALLEST * size**2 and block.thickness < SMALLEST
             if size < SMALLEST or thin:
@@ -336,9 +344,7 @@ def box_block(id: str, lower: Sequence[float], upper: Sequence[float], **kwargs:
     bounds = np.array([lower, upper], float)
     if bounds.shape != (2, 3) or not (bounds[1] > bounds[0]).all():
         raise InputError(f"block {id!r}: box", bounds.tolist(), "lower < upper in x, y and z")
-    number = np.arange(8)
-    corners = [bounds[(number >> k) & 1, k] for k in range(3)]
-    return Block(id, np.stack(corners, -1), _BOX_FACES, **kwargs)
+    return Block(id, bounds[_BOX_CORNERS, np.arange(3)], _BOX_FACES, **kwargs)
 
 
 def hull_block(id: str, points: Sequence[Sequence[float]] | np.ndarray, **kwargs: Any) -> Block:
@@ -373,8 +379,13 @@ def fan_triangles(vertices: np.ndarray, faces: Sequence[Sequence[int]]) -> np.nd
 
     Their signed sums are right for any face; as surface they serve only where faces are convex.
     """
-    index = [(f[0], f[k], f[k + 1]) for f in faces for k in range(1, len(f) - 1)]
-    return vertices[np.array(index)]
+    return vertices[_fans(tuple(map(tuple, faces)))]
+
+
+@lru_cache(maxsize=64)
+def _fans(faces: tuple[tuple[int, ...], ...]) -> np.ndarray:
+    """int64[T, 3]: the corners of the triangles. Blocks by the thousand have the same ones."""
+    return np.array([(f[0], f[k], f[k + 1]) for f in faces for k in range(1, len(f) - 1)])
 
 
 def _vertices(vertices: Sequence[Sequence[float]] | np.ndarray, where: str) -> np.ndarray:

@@ -20,6 +20,7 @@ from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import Learn2AssembleError
 from learn2assemble.geometry.reach import inner_circle
+from learn2assemble.geometry.rotations import cross_rows
 from learn2assemble.statics.holding_forces import Columns, Forces, forces_of, joined
 
 MOST_G = 10.0
@@ -45,6 +46,8 @@ _CAREFUL = (
     ("simplex_iteration_limit", 2**31 - 1),
 )
 _DECIDED = (_STATUS.kOptimal, _STATUS.kInfeasible, _STATUS.kUnboundedOrInfeasible)
+_FEW = 30
+"""Blocks up to which making a program smaller first costs more than it saves."""
 _MANY = 300
 """Blocks from which one state alone is answered by a method of interior points."""
 _CLOSE = 1e-3
@@ -128,10 +131,7 @@ class Balance:
         start = np.append(matrix.indptr[: n + 1], first + len(filled)).astype(np.int32)
         index = np.concatenate([matrix.indices[:first], filled]).astype(np.int32)
         value = np.concatenate([matrix.data[:first], self._last[filled]])
-        self._solver: Any = highspy.Highs()
-        solver = self._solver
-        for option, chosen in _OPTIONS:
-            solver.setOptionValue(option, chosen)
+        self._solver = solver = _solver(self.count)
         self._lower = np.append(columns.lower / self._unit, 0.0)
         self._upper = np.append(columns.upper / self._unit, np.inf)
         load = self._load(np.zeros(self.count), None)
@@ -181,7 +181,7 @@ class Balance:
             on = np.flatnonzero((body >= 0) & ~self.fixed[body])
             of = body[on]
             arm = columns.at[on] - centre[of]
-            couple = (_cross(arm, columns.force[on]) + columns.couple[on]) / self._length
+            couple = (cross_rows(arm, columns.force[on]) + columns.couple[on]) / self._length
             wrench = sign * np.concatenate([columns.force[on], couple], 1)
             at, part = np.nonzero(np.abs(wrench) > 1e-12)
             rows.append(6 * of[at] + part)
@@ -431,14 +431,14 @@ class Balance:
         on = np.flatnonzero(self._on(self._bodies, there))
         pulling = self._on(self._pull_bodies, there).astype(float)
         load = self._load(np.zeros(self.count), None) - self._pulls @ pulling
-        matrix = self._wrench[rows][:, on]
+        matrix = self._wrench
+        if len(rows) < 6 * self.count or len(on) < self._width:
+            matrix = matrix[rows][:, on]
         m, n = len(rows), len(on)
         start = np.append(matrix.indptr, matrix.nnz + 1 + np.arange(2 * m))
         index = np.concatenate([matrix.indices, np.tile(np.arange(m), 2)])
         filled = np.concatenate([matrix.data, np.repeat([1.0, -1.0], m)])
-        solver: Any = highspy.Highs()
-        for option, value in _OPTIONS:
-            solver.setOptionValue(option, value)
+        solver = _solver(self.count)
         cost = np.concatenate([np.zeros(n), np.ones(2 * m)])
         lower = np.concatenate([self._lower[on], np.zeros(2 * m)])
         upper = np.concatenate([self._upper[on], np.full(2 * m, np.inf)])
@@ -468,13 +468,17 @@ class Balance:
         return Holding(force, moving)
 
 
+def _solver(blocks: int) -> Any:
+    """A solver for the program of so many blocks."""
+    solver: Any = highspy.Highs()
+    for option, value in _OPTIONS:
+        solver.setOptionValue(option, value)
+    if blocks <= _FEW:
+        solver.setOptionValue("presolve", "off")
+    return solver
+
+
 def balance_of(assembly: Assembly, sides: bool = False, cured: bool = True) -> Balance:
     """The program of an assembly; arguments as :class:`Balance` and
     :func:`.holding_forces.forces_of`."""
     return Balance(assembly, forces_of(assembly, cured), sides)
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross products of rows; quicker than numpy's for few of them."""
-    (x, y, z), (u, v, w) = a.T, b.T
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -74,23 +75,24 @@ def assembly_of(model: BrickModel, kit: Kit, source: str) -> Assembly:
         x, y, z = _extent(kind)
         kinds.setdefault((min(x, y), max(x, y), z), kind)
     ground = min(brick.low[2] for brick in bricks)
-    pitch = np.array(kit.pitch)
-    offset = np.array([*model.offset, 0.0])
+    offset = *model.offset, 0.0
     blocks = []
     for number, brick in enumerate(bricks, 1):
         x, y, z = brick.size
         kind = kinds.get((min(x, y), max(x, y), z))
         if kind is None:
             raise InputError(brick.where, _words(brick.size, kit), _nearest(brick.size, kit))
-        low = offset + (np.array(brick.low) - [0, 0, ground]) * pitch
-        high = low + np.array(brick.size) * pitch
+        above = brick.low[0], brick.low[1], brick.low[2] - ground
+        low = [o + k * p for o, k, p in zip(offset, above, kit.pitch, strict=True)]
+        size = [k * p for k, p in zip(brick.size, kit.pitch, strict=True)]
+        high = [a + b for a, b in zip(low, size, strict=True)]
         density = kit.density if kind.density is None else kind.density
         if brick.mass is not None:
-            density = brick.mass / float(np.prod(np.array(brick.size) * pitch))
+            density = brick.mass / math.prod(size)
         made = box_block(
             f"b{number}",
-            low.tolist(),
-            high.tolist(),
+            low,
+            high,
             kind=kind.name,
             density=density,
             colour=brick.colour,
@@ -144,7 +146,7 @@ def check_apart(bricks: Sequence[Brick]) -> None:
 
 
 def _extent(kind: Kind) -> tuple[int, int, int]:
-    x, y, z = (np.max(kind.cells, 0) + 1).tolist()
+    x, y, z = (max(along) + 1 for along in zip(*kind.cells, strict=True))
     return x, y, z
 
 
