@@ -1,10 +1,13 @@
-"""Flat actions, and masks over them."""
+"""Numbers of actions, flat or of distinct placements, and masks over them."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
+from learn2assemble.tasks.graph.features import node_offset
+from learn2assemble.tasks.graph.placements import distinct_placements
+from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.task import Task
 from learn2assemble.tasks.world.state import State
 
@@ -12,6 +15,19 @@ from learn2assemble.tasks.world.state import State
 def num_flat_actions(task: Task) -> int:
     """N * N * Na, the size of the flat action space and of both masks."""
     return task.num_nodes * task.num_nodes * task.num_actions
+
+
+def num_placement_actions(task: Task) -> int:
+    """No state of the task has more distinct placements than this.
+
+    Each is an object beside one of P placed cells, by one of five relations. Cubes are alike and
+    differ by the grip at most; of other objects each of the waiting cells may be the chosen one.
+    """
+    placed, spec = task.max_blocks - 1, task.action_spec
+    if task.objects == "cubes":
+        return 5 * placed * len(np.unique(spec.grips))
+    half = task.max_blocks // 2
+    return task.num_actions * half * (task.max_blocks - half)
 
 
 def flatten_action(task: Task, i, j, k):
@@ -101,3 +117,79 @@ def expand_mask(task: Task, state: State, allowed: np.ndarray) -> np.ndarray:
         allowed = allowed[:, None]
     _fill(state.num_vertices, state.num_placed, state.num_blocks, state.terminated, allowed, mask)
     return mask.reshape(state.batch_size, -1)
+
+
+class FlatActions:
+    """What the number of an action means: the flat index of the published triple.
+
+    Args:
+        simulator: of the worlds.
+    """
+
+    def __init__(self, simulator: Simulator) -> None:
+        self.task, self.size = simulator.task, num_flat_actions(simulator.task)
+
+    def resolve(self, state: State, numbers: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Actions int64[B, 3] for :meth:`Simulator.step`; bool[B], which were clipped; and
+        bool[B], which are refused: none."""
+        actions, clipped = resolve_actions(self.task, state, numbers)
+        return actions, clipped, np.zeros(len(numbers), np.bool_)
+
+    def mask(self, state: State, allowed: np.ndarray) -> np.ndarray:
+        """bool[B, size]; see :func:`expand_mask`."""
+        return expand_mask(self.task, state, allowed)
+
+
+class PlacementActions:
+    """The number of a distinct placement, in the order of :func:`distinct_placements`.
+
+    Numbers from the number of placements on are padding. They are never in a mask, and are
+    refused: nothing is placed, and the episode ends as with an invalid placement.
+
+    Args:
+        simulator: of the worlds.
+    """
+
+    def __init__(self, simulator: Simulator) -> None:
+        self.simulator, self.size = simulator, num_placement_actions(simulator.task)
+
+    def describe(self, state: State) -> np.ndarray:
+        """float32[B, size, 3]: middle of the cells that every placement fills [m, world]; zeros
+        in the padding."""
+        found = distinct_placements(self.simulator.observe(state), self.simulator.action_spec)
+        filled = (found.members >= 0)[..., None]
+        rows = np.arange(len(found.members))[:, None, None]
+        centres = (found.cells[rows, found.members] * filled).sum(2) / np.maximum(filled.sum(2), 1)
+        out = np.zeros((state.batch_size, self.size, 3), np.float32)
+        out[:, : centres.shape[1]] = centres * found.used[..., None]
+        return out
+
+    def resolve(self, state: State, numbers: np.ndarray) -> tuple[np.ndarray, ...]:
+        """As :meth:`FlatActions.resolve`; none is clipped, and the padding is refused."""
+        actions, count = self._actions(state)
+        refused = numbers >= count
+        chosen = actions[np.arange(len(numbers)), np.where(refused, 0, numbers)]
+        return chosen, np.zeros(len(numbers), np.bool_), refused
+
+    def mask(self, state: State, allowed: np.ndarray) -> np.ndarray:
+        """bool[B, size]; ``allowed`` as in :func:`expand_mask`."""
+        actions, count = self._actions(state)
+        block, reference, way = np.moveaxis(actions, -1, 0)
+        rows = np.arange(state.batch_size)[:, None]
+        named = allowed[:, None] if allowed.ndim == 3 else allowed
+        found = named[rows, np.minimum(block, named.shape[1] - 1), reference, way]
+        offered = np.arange(actions.shape[1]) < count[:, None]
+        mask = np.zeros((state.batch_size, self.size), np.bool_)
+        mask[:, : actions.shape[1]] = found & offered & ~state.terminated[:, None]
+        return mask
+
+    def _actions(self, state: State) -> tuple[np.ndarray, np.ndarray]:
+        """int64[B, P, 3], local indices of every placement, zeros beyond; int64[B], how many."""
+        graph = self.simulator.observe(state)
+        found = distinct_placements(graph, self.simulator.action_spec)
+        local = found.action - node_offset(graph)[:, None]
+        return local * found.used[..., None], found.count
+
+
+ACTION_SPACES = {"flat": FlatActions, "placements": PlacementActions}
+"""Meanings of the number of an action, by name."""

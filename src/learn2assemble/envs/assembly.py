@@ -2,8 +2,8 @@
 
 Both are :class:`_Worlds` in Gymnasium's words. An action is the published triple (i, j, k): node
 index of the unplaced block to place, node index of the placed reference block, action. Spaces use
-its flat index ``a = (i * N + j) * Na + k``. Elevations are drawn without any GL, as text and as a
-small raster.
+its flat index ``a = (i * N + j) * Na + k``, or the number of a distinct placement. Elevations are
+drawn without any GL, as text and as a small raster.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike
 
-from learn2assemble.envs.actions import expand_mask, num_flat_actions, resolve_actions
+from learn2assemble.envs.actions import ACTION_SPACES, PlacementActions, num_placement_actions
 from learn2assemble.envs.drawing import draw_image, draw_text
 from learn2assemble.errors import InputError, UnknownNameError, is_whole
 from learn2assemble.tasks.graph.features import NUM_FEATURES, POSITION
@@ -33,35 +33,42 @@ WAITING_REACH = 1.25
 MOST_ENVS = 100_000
 """Worlds stepped at once."""
 RENDER_MODES = ("ansi", "rgb_array")
+INVALID = -1.0
+"""Reward of an action that is refused, as of an invalid placement."""
+REFUSED = "REFUSED"
+"""Verdict on an action that is refused."""
 _VERDICTS = {verdict.value: verdict.name for verdict in PlacementVerdict}
 
 
 # ---------------------------------------------------------------- spaces and actions
 
 
-def observation_space(task: Task) -> spaces.Dict:
+def observation_space(task: Task, actions: str = "flat") -> spaces.Dict:
     """The graph of one world; :func:`learn2assemble.tasks.graph.features.connectivity` needs no
     more.
 
     ``nodes`` float32[N, 5]: x, y, z [m, world], placed and target flag (+-1). ``object_id``
     int32[N]: object number; -1 - s for vertices of side s. ``num_targets``, ``num_placed``,
-    ``num_nodes``.
+    ``num_nodes``. Where actions are placements also ``placements`` float32[A, 3]: middle of the
+    cells each would fill [m, world], zeros in the padding.
     """
     high = np.ones((task.num_nodes, NUM_FEATURES), np.float32)
     # Every placement reaches at most one cell farther than the structure already did.
-    high[:, POSITION] = WAITING_REACH + task.pitch * task.max_blocks
+    reach = WAITING_REACH + task.pitch * task.max_blocks
+    high[:, POSITION] = reach
     count = task.num_nodes + 1
-    return spaces.Dict(
-        {
-            "nodes": spaces.Box(-high, high, dtype=np.float32),
-            "object_id": spaces.Box(
-                -task.num_sides, task.max_blocks - 1, (task.num_nodes,), np.int32
-            ),
-            "num_targets": spaces.Discrete(count),
-            "num_placed": spaces.Discrete(count),
-            "num_nodes": spaces.Discrete(count),
-        }
-    )
+    parts: dict[str, spaces.Space[Any]] = {
+        "nodes": spaces.Box(-high, high, dtype=np.float32),
+        "object_id": spaces.Box(-task.num_sides, task.max_blocks - 1, (task.num_nodes,), np.int32),
+        "num_targets": spaces.Discrete(count),
+        "num_placed": spaces.Discrete(count),
+        "num_nodes": spaces.Discrete(count),
+    }
+    if actions == "placements":
+        parts["placements"] = spaces.Box(
+            -reach, reach, (num_placement_actions(task), 3), np.float32
+        )
+    return spaces.Dict(parts)
 
 
 # ---------------------------------------------------------------- drawings
@@ -80,7 +87,10 @@ class _Worlds:
         count: int,
         physics_mask: bool,
         render_mode: str | None,
+        actions: str,
     ) -> None:
+        if actions not in ACTION_SPACES:
+            raise UnknownNameError("actions", actions, ACTION_SPACES)
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise UnknownNameError("render_mode", render_mode, RENDER_MODES)
         self.render_mode = render_mode
@@ -89,6 +99,7 @@ class _Worlds:
         """For search and planning."""
         self.state = self.simulator.empty(count)
         """All worlds; copy it before you change it."""
+        self._actions = ACTION_SPACES[actions](self.simulator)
         self._physics_mask = physics_mask
         self._started = False
         self._ended = np.zeros(count, np.bool_)
@@ -104,17 +115,26 @@ class _Worlds:
 
     def _place(self, flat: ArrayLike) -> tuple[WorldTransition, list[dict[str, Any]]]:
         """Step every world that has not ended; what happened, and what infos say of it."""
-        actions, clipped = resolve_actions(self.task, self.state, self._checked(flat))
+        actions, clipped, refused = self._actions.resolve(self.state, self._checked(flat))
+        refused &= ~self.state.terminated
+        self.state.terminated[refused] = True
         done = self.simulator.step(self.state, actions)
+        done.reward[refused], done.terminated[refused] = INVALID, True
         self._ended = done.terminated
-        columns = done.verdict.tolist(), done.success.tolist(), clipped.tolist()
+        columns = done.verdict, done.success, clipped, refused
         return done, [
-            {"verdict": _VERDICTS[verdict], "success": success, "clipped": changed}
-            for verdict, success, changed in zip(*columns, strict=True)
+            {
+                "verdict": REFUSED if padding else _VERDICTS[verdict],
+                "success": success,
+                "clipped": changed,
+            }
+            for verdict, success, changed, padding in zip(
+                *map(np.ndarray.tolist, columns), strict=True
+            )
         ]
 
     def _checked(self, flat: ArrayLike) -> np.ndarray:
-        count, size = self.state.batch_size, num_flat_actions(self.task)
+        count, size = self.state.batch_size, self._actions.size
         expected = f"{count} integer{'s' if count > 1 else ''} in 0..{size - 1}"
         try:
             array = np.asarray(flat)
@@ -126,13 +146,16 @@ class _Worlds:
         return array.astype(np.int64)
 
     def _observe(self) -> dict[str, np.ndarray]:
-        return self.simulator.observe(self.state)._asdict()
+        seen = self.simulator.observe(self.state)._asdict()
+        if isinstance(self._actions, PlacementActions):
+            seen["placements"] = self._actions.describe(self.state)
+        return seen
 
     def _legal(self) -> np.ndarray:
-        """bool[B, N * N * Na]: i unplaced, j placed, world not ended."""
+        """bool[B, A]: i unplaced, j placed, no padding, world not ended."""
         self._require_reset()
         shape = (self.state.batch_size, self.task.max_blocks, self.task.num_actions)
-        return expand_mask(self.task, self.state, np.ones(shape, np.bool_))
+        return self._actions.mask(self.state, np.ones(shape, np.bool_))
 
     def _known(self) -> dict[str, np.ndarray]:
         """What infos say of the state, see :class:`AssemblyEnv`; arrays over the worlds."""
@@ -140,7 +163,7 @@ class _Worlds:
         info = {"action_masks": self._legal().view(np.int8)}
         if self._physics_mask:
             stable = self.simulator.physics_mask(state)
-            info["physics_mask"] = expand_mask(self.task, state, stable).view(np.int8)
+            info["physics_mask"] = self._actions.mask(state, stable).view(np.int8)
         info["coverage"] = state.complete_coverage
         info["plane_coverage"] = state.plane_coverage
         return info
@@ -160,11 +183,13 @@ class AssemblyEnv(_Worlds, gymnasium.Env[dict[str, Any], np.int64]):
 
     Actions are flat indices of (i, j, k), observations graphs; see
     :func:`observation_space`. Illegal i and j are clipped like in the published code, and
-    ``info["clipped"]`` says so. An episode ends with an invalid placement, the filled target or
-    the last block; it is never truncated.
+    ``info["clipped"]`` says so. With ``actions="placements"`` an action is the number of a
+    distinct placement instead, a few hundred in place of thousands; the padding is refused, which
+    ends the episode with reward -1 and the verdict ``REFUSED``. An episode ends with an invalid
+    placement, the filled target or the last block; it is never truncated.
 
-    ``info``: ``action_masks`` int8[N*N*Na]: legal, as ``action_space.sample`` wants it;
-    ``physics_mask`` int8[N*N*Na]: legal, free and stable by static physics, a help the paper's
+    ``info``: ``action_masks`` int8[A]: legal, as ``action_space.sample`` wants it, over all ``A``
+    actions; ``physics_mask`` int8[A]: legal, free and stable by static physics, a help the paper's
     agent does not have, never applied; ``coverage`` and ``plane_coverage``: F_co and F_pl; and
     after a step ``verdict`` (name of a
     :class:`~learn2assemble.tasks.physics.protocol.PlacementVerdict`), ``success`` and ``clipped``.
@@ -174,9 +199,11 @@ class AssemblyEnv(_Worlds, gymnasium.Env[dict[str, Any], np.int64]):
         physics: ``static``, ``rigid`` or a physics.
         physics_mask: whether infos carry ``physics_mask``.
         render_mode: None, ``ansi`` or ``rgb_array``.
+        actions: ``flat`` (N * N * Na of them) or ``placements``.
 
     Raises:
-        UnknownNameError: for a preset, physics or render mode that does not exist.
+        UnknownNameError: for a preset, physics, render mode or kind of actions that does not
+            exist.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": 2}
@@ -187,10 +214,11 @@ class AssemblyEnv(_Worlds, gymnasium.Env[dict[str, Any], np.int64]):
         physics: str | Physics = "static",
         physics_mask: bool = True,
         render_mode: str | None = None,
+        actions: str = "flat",
     ) -> None:
-        super().__init__(task, physics, 1, physics_mask, render_mode)
-        self.observation_space = observation_space(self.task)
-        self.action_space = spaces.Discrete(num_flat_actions(self.task))
+        super().__init__(task, physics, 1, physics_mask, render_mode, actions)
+        self.observation_space = observation_space(self.task, actions)
+        self.action_space = spaces.Discrete(self._actions.size)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -217,7 +245,7 @@ class AssemblyEnv(_Worlds, gymnasium.Env[dict[str, Any], np.int64]):
         return self._observation(), float(done.reward[0]), bool(done.terminated[0]), False, info
 
     def action_masks(self) -> np.ndarray:
-        """bool[N * N * Na]: the legal actions, as maskable algorithms ask for them."""
+        """bool[A]: the legal actions, as maskable algorithms ask for them."""
         return self._legal()[0]
 
     def render(self) -> Any:
@@ -245,7 +273,7 @@ class AssemblyVectorEnv(_Worlds, VectorEnv[dict[str, np.ndarray], np.ndarray, np
     :class:`~learn2assemble.envs.assembly.AssemblyEnv`, at the cost of one batched step.
 
     Args:
-        task, physics, physics_mask, render_mode: as of the single one.
+        task, physics, physics_mask, render_mode, actions: as of the single one.
         num_envs: B, number of worlds.
         autoreset_mode: ``NextStep`` (the call after an end resets that world and ignores its
             action), ``SameStep`` (the last observation and info are ``final_obs`` and
@@ -269,18 +297,19 @@ class AssemblyVectorEnv(_Worlds, VectorEnv[dict[str, np.ndarray], np.ndarray, np
         physics_mask: bool = True,
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        actions: str = "flat",
     ) -> None:
         if not is_whole(num_envs, 1, MOST_ENVS):
             raise InputError("num_envs", num_envs, f"a whole number from 1 to {MOST_ENVS}")
-        super().__init__(task, physics, num_envs, physics_mask, render_mode)
+        super().__init__(task, physics, num_envs, physics_mask, render_mode, actions)
         self.num_envs = num_envs
         names = [mode.value for mode in AutoresetMode]
         if not isinstance(autoreset_mode, AutoresetMode) and autoreset_mode not in names:
             raise UnknownNameError("autoreset_mode", autoreset_mode, names)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
-        self.single_observation_space = observation_space(self.task)
-        self.single_action_space = spaces.Discrete(num_flat_actions(self.task))
+        self.single_observation_space = observation_space(self.task, actions)
+        self.single_action_space = spaces.Discrete(self._actions.size)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._seed([seeding.np_random() for _ in range(num_envs)])
@@ -348,7 +377,7 @@ class AssemblyVectorEnv(_Worlds, VectorEnv[dict[str, np.ndarray], np.ndarray, np
         return self._observe(), done.reward, ended, truncated, infos
 
     def action_masks(self) -> np.ndarray:
-        """bool[B, N * N * Na]: the legal actions; none for a world that has ended."""
+        """bool[B, A]: the legal actions; none for a world that has ended."""
         return self._legal()
 
     def render(self) -> tuple[Any, ...]:
