@@ -538,3 +538,19 @@ def test_where_posts_do_not_help_and_a_hand_does_it_is_said() -> None:
     assert "v1, v5" in (plan.reason or "")
     assert "a hold would help: with one block held at a time it is built" in (plan.reason or "")
     assert plan_assembly(arch, holds=1, supports="none").complete
+
+
+def test_a_counterweight_comes_before_what_would_tip_without_it() -> None:
+    """Level joints alone: b3 has room on b2, yet tips it over the edge of b1 until b4 is there."""
+    heavy = {"density": 10000.0}
+    blocks = (
+        box_block("b1", (0.0, 0, 0), (0.2, 0.1, 0.05)),
+        box_block("b2", (-0.05, 0, 0.05), (0.25, 0.1, 0.1)),
+        box_block("b3", (0.14, 0, 0.1), (0.34, 0.1, 0.15), **heavy),
+        box_block("b4", (-0.06, 0, 0.1), (0.14, 0.1, 0.15), **heavy),
+    )
+    # Middles of mass: b2 and b3 at 0.208 m, off b1; b2 and b4 at 0.048 m.
+    assert check(Assembly(blocks[:3])).verdict == FALLS
+    plan = plan_assembly(Assembly(blocks), supports="none")
+    assert plan.status == "complete"
+    assert [step.block for step in plan.steps] == [0, 1, 3, 2]

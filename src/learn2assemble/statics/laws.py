@@ -184,6 +184,7 @@ class ByLoads:
         if key in self._solved:
             proof.force = self._solved[key].copy()
             return PROGRAM
+        forces = proof.force.copy()
         for block in some:
             alone = np.zeros_like(placed)
             alone[block] = True
@@ -191,6 +192,8 @@ class ByLoads:
             free = not placed[self.stack.tops[block]].any()
             if free and proof.program(placed, alone, self.clock.left) is False:
                 return None
+        # That was a question: with its answer kept, the blocks below would not be looked at.
+        proof.force = forces
         found = proof.settle(dirty, placed, mends=True)
         for blocks in (lies_below(self.stack, some, placed), placed):
             found = found or bool(proof.program(placed, blocks, self.clock.left))
