@@ -131,7 +131,7 @@ def test_what_is_no_assembly_is_refused() -> None:
         ((a, a), (), 0.5),
         ((a, b), (AssemblyStep("c"),), 0.5),
         ((a, b), (AssemblyStep("a"), AssemblyStep("a")), 0.5),
-        ((a, b), (AssemblyStep(remove="a"),), 0.5),
+        ((a, b), (AssemblyStep(remove="a"), AssemblyStep(remove="a")), 0.5),
         ((a, b), (), -0.1),
         ((a, b), (), float("nan")),
         ((a, box_block("speck", (2, 0, 0), (2.00001, 1e-5, 1e-5))), (), 0.5),

@@ -193,10 +193,12 @@ class Assembly:
 
     Args:
         blocks: with distinct ids.
-        steps: in order; empty where it is not known. Props are removed again by a step.
+        steps: in order; empty where it is not known. Props are removed again by a step, and so are
+            blocks that stood from the start and do not stay.
         friction: Coulomb coefficient of every contact.
         not_built: ids of blocks that are wanted and that no step places, of steps that do not
-            finish the structure. Any other block that no step places stands from the start.
+            finish the structure. Any other block that no step places, or that one removes before,
+            stands from the start.
         joint: how its joints hold.
         joints: other laws of single joints, before ``joint``; the last one that fits counts.
 
@@ -247,7 +249,9 @@ class Assembly:
             raise InputError(
                 f"block {small!r}: size", min(sizes), f"at least 1/{MAX_RATIO:.0f} of the largest"
             )
-        standing: set[str] = set()
+        # What is taken away before it is placed stands from the start.
+        first = {step.block: step.action for step in reversed(self.steps)}
+        standing = {id_ for id_, action in first.items() if action == "remove"}
         held: set[str] = set()
         for number, step in enumerate(self.steps):
             where, id_, action = f"steps[{number}]", step.block, step.action
@@ -313,6 +317,13 @@ class Assembly:
         if id_ not in self._index:
             raise InputError("block id", id_, "the id of a block of the assembly")
         return self._index[id_]
+
+    @property
+    def at_first(self) -> tuple[bool, ...]:
+        """Of each block, whether it stands before the first step."""
+        first = dict.fromkeys(self.not_built, "place")
+        first |= {step.block: step.action for step in reversed(self.steps)}
+        return tuple(first.get(block.id) != "place" for block in self.blocks)
 
     @cached_property
     def finished(self) -> Assembly:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly
-from learn2assemble.assembly.contacts import check_overlaps, shrunk
+from learn2assemble.assembly.blocks import Assembly, Block
+from learn2assemble.assembly.contacts import Contacts, check_overlaps, shrunk
 from learn2assemble.errors import InputError, is_whole
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.brick_plan import plan_bricks
@@ -93,7 +93,8 @@ def plan_assembly(
     widest = value_range(gap, 0.0, "gap")[1]
     joints = Joints(assembly)
     _check_props(assembly, joints)
-    problem = OrderProblem(assembly, _layers(assembly, joints, widest), tuple(sorted(set(ends))))
+    layers = contact_layers(assembly.blocks, joints.faces, lambda: joints.every[0], widest)
+    problem = OrderProblem(assembly, layers, tuple(sorted(set(ends))))
     clock = Clock(seconds)
     help_ = Supports(supports != "none", holds, fewest=supports == "auto")
     if assembly.steps:
@@ -127,19 +128,29 @@ def _check_props(assembly: Assembly, joints: Joints) -> None:
         raise InputError("props", f"{names} in the air", "props on the ground or on a block")
 
 
-def _layers(assembly: Assembly, joints: Joints, gap: float) -> tuple[ContactLayer, ...]:
-    """What may carry, what needs the least of the joints first."""
-    faces = joints.faces
+def contact_layers(
+    blocks: Sequence[Block], faces: Contacts, every: Callable[[], Contacts], gap: float
+) -> tuple[ContactLayer, ...]:
+    """What may carry, what needs the least of the joints first.
+
+    Args:
+        faces: contacts of faces of these blocks.
+        every: those of edges and points, too; not looked for where there are gaps.
+        gap: width to which vertical joints may open [m].
+
+    Raises:
+        InputError: for gaps wider than a block.
+    """
     if gap > 0:
-        least = min(float(np.ptp(b.vertices, axis=0)[:2].min()) for b in assembly.blocks)
+        least = min(float(np.ptp(b.vertices, axis=0)[:2].min()) for b in blocks)
         if gap >= least:
             raise InputError("gap", gap, f"less than the narrowest block, {least:g} m")
         return (ContactLayer(shrunk(faces.only(bed_patches(faces)), gap / 2), BED),)
     pressed = pressed_patches(faces)
     layers = [ContactLayer(faces.only(pressed), BED)]
     layers += [] if pressed.all() else [ContactLayer(faces, TIGHT)]
-    every = joints.every[0]
-    layers += [ContactLayer(every, POINTS)] if len(every.a) > len(faces.a) else []
+    more = every()
+    layers += [ContactLayer(more, POINTS)] if len(more.a) > len(faces.a) else []
     return tuple(layers)
 
 

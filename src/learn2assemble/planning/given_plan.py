@@ -20,6 +20,8 @@ def plan_of(
     ends: tuple[float, float],
     gaps: tuple[float, float] | None,
     started: float,
+    before: np.ndarray | None = None,
+    wanted: np.ndarray | None = None,
 ) -> Plan:
     """The plan of blocks in an order.
 
@@ -29,10 +31,13 @@ def plan_of(
         ends: friction it is proven for.
         gaps: widths of vertical joints it is proven for.
         started: when planning began, of ``time.perf_counter``.
+        before: bool[B], what stands before the first step; by default the supports.
+        wanted: bool[B], what has to stand at last; by default all but supports and props.
     """
     support = np.array([block.support for block in found.blocks])
-    wanted = ~support & ~np.array([block.prop for block in found.blocks])
-    present = support.copy()
+    if wanted is None:
+        wanted = ~support & ~np.array([block.prop for block in found.blocks])
+    present = (support if before is None else before).copy()
     steps, made = [], []
     for number, step in enumerate(found.steps, 1):
         block = found.blocks[step.block]
@@ -51,6 +56,8 @@ def plan_of(
             )
         )
     blocks = replace(assembly, blocks=found.blocks, steps=tuple(made), not_built=())
+    if before is None:
+        blocks = blocks.as_far_as_placed()
     return Plan(
         design=PlanDesign(name=assembly.name or "assembly", source="", block_edge=1.0),
         status="incomplete" if found.status == "not found" and found.steps else found.status,
@@ -63,5 +70,5 @@ def plan_of(
         verified_by="rigid-block equilibrium of every step",
         friction_range=ends,
         gap_range=gaps,
-        assembly=blocks.as_far_as_placed(),
+        assembly=blocks,
     )

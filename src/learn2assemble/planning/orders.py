@@ -137,7 +137,7 @@ class _DryOrder:
         self, problem: OrderProblem, supports: Supports, clock: Clock, progress: Progress
     ) -> None:
         given = problem.assembly.blocks
-        count, layers, friction = len(given), problem.layers, list(problem.friction)
+        count, layers = len(given), problem.layers
         posts = []
         if supports.posts:
             lowest = [float(b.vertices[:, 2].min()) for b in given if b.support]
@@ -146,26 +146,11 @@ class _DryOrder:
         whole = Assembly((*given, *made), friction=problem.assembly.friction)
         self.blocks, self.count = whole.blocks, count
         self.clock, self.progress = clock, progress
-        fixed = np.array([block.support for block in self.blocks])
         if posts:
             own = find_contacts(whole)
             own = own.only((own.b >= count) & (own.a < count))
             layers = tuple(one._replace(contacts=_joined(one.contacts, own)) for one in layers)
-        contacts = layers[-1].contacts
-        laws: list[Law] = [ByForces(whole, *layer, friction) for layer in layers]
-        level = problem.layers[0].contacts
-        if ByLoads.fits(level):
-            laws.insert(0, ByLoads.of_contacts(problem.assembly, level, friction[0], clock))
-        site = BuildingSite(
-            fixed=fixed,
-            prop=np.array([block.prop for block in self.blocks]),
-            near=_neighbours(contacts, len(self.blocks)),
-            below=_lies_on(level, count, fixed),
-            rank=_from_below(self.blocks),
-            laws=laws,
-            ways=FreeWays(self.blocks, contacts, 2 * float(contact_tolerance(given).max()), count),
-        )
-        self.rules = Forward(site, posts)
+        self.rules = Forward(site_of(problem, whole, layers, clock), posts)
 
     def run(self) -> _Steps:
         """The first complete order that is found, or the longest one."""
@@ -220,6 +205,32 @@ class _DryOrder:
         if not any(self.rules.site.ways.free(b, present) for b in stuck):
             return f"no way to the place of {names} is free"
         return f"no order found: the next step falls with any of {names}"
+
+
+def site_of(
+    problem: OrderProblem, whole: Assembly, layers: Sequence[ContactLayer], clock: Clock
+) -> BuildingSite:
+    """What is known of dry blocks: what carries them, and along which ways they come.
+
+    Args:
+        whole: the blocks of the problem, then posts.
+        layers: those of the problem, with the contacts of the posts.
+    """
+    blocks, given, level = whole.blocks, problem.assembly.blocks, problem.layers[0].contacts
+    fixed, contacts = np.array([block.support for block in blocks]), layers[-1].contacts
+    friction, count = list(problem.friction), len(given)
+    laws: list[Law] = [ByForces(whole, *layer, friction) for layer in layers]
+    if ByLoads.fits(level):
+        laws.insert(0, ByLoads.of_contacts(problem.assembly, level, friction[0], clock))
+    return BuildingSite(
+        fixed=fixed,
+        prop=np.array([block.prop for block in blocks]),
+        near=_neighbours(contacts, len(blocks)),
+        below=_lies_on(level, count, fixed),
+        rank=_from_below(blocks),
+        laws=laws,
+        ways=FreeWays(blocks, contacts, 2 * float(contact_tolerance(given).max()), count),
+    )
 
 
 def _distinct(blocks: Sequence[Block], more: Sequence[Block]) -> list[Block]:

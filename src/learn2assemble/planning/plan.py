@@ -244,6 +244,25 @@ class ArmReport:
 
 
 @dataclass(frozen=True)
+class RebuildReport:
+    """From a structure that stands already: how its blocks become those of the new one."""
+
+    moves: Count
+    """Blocks that are carried from one place to another. A block that is taken away right before
+    one of its kind is placed is carried there: one move."""
+    moves_bound: Count
+    """No order without help has fewer moves."""
+    kept: Count
+    """Blocks that stay where they are."""
+    taken: Count
+    """Blocks that are taken away, those among them that come back to the same place."""
+    placed: Count
+    """Blocks that are placed."""
+    supplied: Count = 0
+    """Of :attr:`placed`, those that the old structure has not."""
+
+
+@dataclass(frozen=True)
 class CellCount:
     """The drawing as cells of the kit's lattice."""
 
@@ -303,6 +322,8 @@ class Plan:
     """Coefficients of friction for which every step is proven to stand."""
     gap_range: tuple[Metre, Metre] | None = None
     """Widths of vertical joints for which every step is proven to stand."""
+    rebuilt: RebuildReport | None = None
+    """Where the steps begin at a structure that stands already."""
     arm: ArmReport | None = None
     record: BuildRecord | None = field(
         default=None, compare=False, repr=False, metadata={"file": False}

@@ -1,0 +1,152 @@
+"""The plan that turns a standing structure into another one."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.contacts import Contacts, add_point_contacts, find_contacts
+from learn2assemble.errors import InputError
+from learn2assemble.linear_programs import Clock
+from learn2assemble.planning.changeover import (
+    Changeover,
+    kinds_of,
+    lying_on,
+    merged,
+    overlapping,
+)
+from learn2assemble.planning.fewest_moves import fewest_moves
+from learn2assemble.planning.forward import Forward
+from learn2assemble.planning.given import contact_layers
+from learn2assemble.planning.given_plan import plan_of
+from learn2assemble.planning.orders import OrderProblem, site_of
+from learn2assemble.planning.plan import LARGEST, Plan, RebuildReport
+from learn2assemble.planning.rebuilding import count_moves, find_rebuilding
+from learn2assemble.planning.sequence import Sequenced, list_ids, reported
+from learn2assemble.statics.states import State
+
+Progress = Callable[[str], None]
+
+
+def rebuild(
+    old: Assembly, plan: Plan, *, seconds: float = 60.0, progress: Progress = lambda text: None
+) -> Plan:
+    """Turn a standing structure into a planned one with its own blocks, every state proven.
+
+    What may stay stays; what has to go is taken away, to a new place at once where that is free
+    and to a heap beside otherwise; what is missing comes from the supply, what is left over goes.
+    Blocks stay where both structures have one of the same kind at the same pose, as both are given.
+    No block is drawn out from under another or pushed in under one. States are proven for the
+    friction and joints of the plan; nothing is held, and no prop comes.
+
+    Args:
+        old: what stands; of its steps only what they leave.
+        plan: of the new structure, complete.
+        seconds: wall-clock limit.
+
+    Returns:
+        The plan, whose steps begin at the old structure and end in the new one;
+        :attr:`~.plan.Plan.rebuilt` has the moves and a number that none goes below
+        (:func:`~.fewest_moves.fewest_moves`). A plan that is not complete is given back as it is.
+
+    Raises:
+        InputError: for an old structure that is not proven to stand, for blocks of another kit or
+            size, for joints that hold, and for supports that are not the same.
+    """
+    started = time.perf_counter()
+    if not plan.complete or plan.assembly is None:
+        return plan
+    change, rules, ends = changed_over(old.finished, plan, seconds)
+    blocks = change.blocks
+    nothing = np.zeros(len(blocks), bool)
+    begin, end = State(change.old, nothing), State(change.new, nothing)
+    for state, what in ((begin, "from"), (end, "")):
+        if rules.law(state) is not None:
+            continue
+        names = list_ids(blocks, rules.laws[-1].moving(state)) or "some blocks"
+        if what:
+            raise InputError(what, f"a structure that falls: {names} move", "one that stands")
+        reason = f"that the new structure stands is not proven: {names} may move"
+        return replace(plan, status="not found", reason=reason)
+    clock = Clock(seconds)
+    bound = fewest_moves(change, Clock(seconds / 4))
+    found = find_rebuilding(change, rules, bound, clock, progress)
+    steps = tuple(reported(rules.laws, rules.law, begin, found.steps))
+    reason = None
+    if not found.complete:
+        names = list_ids(blocks, found.stuck)
+        late = f"time ran out after {seconds:g} s"
+        reason = late if clock.left <= 0 else f"no order without help: none of {names} comes next"
+    status = "complete" if found.complete else "not found"
+    made = Sequenced(blocks, steps, status, reason, found.stuck)
+    whole = replace(
+        plan.assembly, blocks=blocks, steps=(), joints=(), not_built=(), name=plan.design.name
+    )
+    told = plan_of(whole, made, ends, plan.gap_range, started, change.old, change.new)
+    placed = [step.block for step in steps if step.action == "place"]
+    taken = [step.block for step in steps if step.action == "remove"]
+    report = RebuildReport(
+        moves=count_moves(found.steps, change.kind),
+        moves_bound=bound,
+        kept=int(change.old.sum()) - len(set(taken)),
+        taken=len(taken),
+        placed=len(placed),
+        supplied=max(0, len(placed) - len(taken)),
+    )
+    return replace(
+        told,
+        design=plan.design,
+        kit=plan.kit,
+        planner=plan.planner,
+        cells=plan.cells,
+        rebuilt=report,
+    )
+
+
+def changed_over(
+    old: Assembly, plan: Plan, seconds: float
+) -> tuple[Changeover, Forward, tuple[float, float]]:
+    """What has to be done, the rules that prove states of it, and the friction they hold for.
+
+    Args:
+        old, plan, seconds: as of :func:`rebuild`.
+    """
+    assert plan.assembly is not None
+    new = plan.assembly.finished
+    _check_joints(old, new)
+    blocks, goes, stays = merged(old, new)
+    whole = replace(new, blocks=blocks, steps=(), joints=(), not_built=())
+    overlaps = overlapping(blocks)
+    faces = _apart(find_contacts(whole), overlaps)
+
+    def every() -> Contacts:
+        return _apart(add_point_contacts(whole, faces)[0], overlaps)
+
+    ends = plan.friction_range or (new.friction, new.friction)
+    some = {ends[0], ends[1]} if ends[1] < LARGEST else {ends[0]}
+    gap = plan.gap_range[1] if plan.gap_range else 0.0
+    problem = OrderProblem(whole, contact_layers(blocks, faces, every, gap), tuple(sorted(some)))
+    site = site_of(problem, whole, problem.layers, Clock(seconds))
+    change = Changeover(blocks, goes, stays, kinds_of(blocks), overlaps, lying_on(site.below))
+    return change, Forward(site), (float(ends[0]), float(ends[1]))
+
+
+def _apart(contacts: Contacts, overlaps: list[frozenset[int]]) -> Contacts:
+    """The contacts but those of blocks that overlap, which are never there together."""
+    pairs = zip(contacts.a.tolist(), contacts.b.tolist(), strict=True)
+    return contacts.only(np.array([a < 0 or b not in overlaps[a] for a, b in pairs], bool))
+
+
+def _check_joints(old: Assembly, new: Assembly) -> None:
+    """Refuse joints that hold."""
+    if old.holds or new.holds:
+        both = "bricks that clutch" if old.holds and new.holds else "bricks and dry blocks"
+        raise InputError("from", both, "dry blocks, of both structures")
+    supports = [sorted(b.id for b in a.blocks if b.support) for a in (old, new)]
+    if supports[0] != supports[1]:
+        got = ", ".join(supports[0][:4]) or "none"
+        raise InputError("from: supports", got, ", ".join(supports[1][:4]) or "none")

@@ -1,0 +1,208 @@
+"""From one structure to another: the order, its proofs and the bound of its moves."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, box_block
+from learn2assemble.errors import InputError
+from learn2assemble.jobs.build import build
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.rebuild import changed_over, rebuild
+from learn2assemble.statics.rigid_blocks import check
+from learn2assemble.statics.states import State
+
+
+def wall(wide: int, high: int, at: int = 0) -> np.ndarray:
+    """bool[X, Y, Z]: a wall of so many cells, from a place of a site 14 wide."""
+    cells = np.zeros((14, 1, 8), bool)
+    cells[at : at + wide, 0, :high] = True
+    return cells
+
+
+def planned(cells: np.ndarray) -> Plan:
+    plan = build(cells, kit="bricks")
+    assert plan.complete
+    return plan
+
+
+def bricks(*rows: tuple[tuple[int, int], ...]) -> Plan:
+    """The plan of a wall from rows of bricks (from, to) in cells of 0.1 m, from below."""
+    blocks = [
+        box_block(f"{a}-{b}/{z}", (a / 10, 0, z / 10), (b / 10, 0.1, (z + 1) / 10), kind=f"{b - a}")
+        for z, row in enumerate(rows)
+        for a, b in row
+    ]
+    return build(Assembly(tuple(blocks)))
+
+
+def standing(plan: Plan) -> Assembly:
+    assert plan.assembly is not None
+    return plan.assembly
+
+
+def random_bricks(rng: np.random.Generator) -> Plan | None:
+    """A small wall of random bricks that stands and has an order."""
+    rows, left, right = [], int(rng.integers(0, 3)), int(rng.integers(4, 7))
+    for _ in range(int(rng.integers(1, 4))):
+        row, at = [], left
+        while at < right:
+            end = min(at + int(rng.integers(1, 4)), right)
+            row.append((at, end))
+            at = end
+        rows.append(tuple(brick for brick in row if rng.random() < 0.8) or (row[0],))
+    try:
+        plan = bricks(*rows)
+    except InputError:
+        return None
+    return plan if plan.complete else None
+
+
+def check_states(plan: Plan) -> None:
+    """Every state stands by the check of any structure, and no two blocks overlap in it."""
+    whole = standing(plan)
+    there = {b.id for b, here in zip(whole.blocks, whole.at_first, strict=True) if here}
+    for step in (None, *whole.steps):
+        if step is not None:
+            there ^= {step.block}
+        if there:
+            blocks = tuple(block for block in whole.blocks if block.id in there)
+            assert check(replace(whole, blocks=blocks, steps=())).verdict != "falls"
+
+
+def fewest(old: Assembly, plan: Plan) -> int | None:
+    """The fewest moves of all orders, looked for in all of them (Dijkstra)."""
+    assert plan.assembly is not None
+    change, rules, _ = changed_over(old.finished, plan, 60.0)
+    count = len(change.blocks)
+    start, end = (sum(1 << k for k in np.flatnonzero(s)) for s in (change.old, change.new))
+    queue, known = [(0, start, -1)], {(start, -1): 0}
+    stands: dict[tuple[int, int], bool] = {}
+
+    def array(mask: int) -> np.ndarray:
+        return np.array([bool(mask >> k & 1) for k in range(count)])
+
+    def may(there: int, block: int) -> bool:
+        """Whether a block may come to the others of a state, or leave them."""
+        key = there, block
+        if key not in stands:
+            present = array(there)
+            some = change.overlaps[block] | change.above[block]
+            free = not any(present[k] for k in some)
+            stands[key] = free and rules.site.ways.free(block, present)
+        return stands[key]
+
+    while queue:
+        moves, there, hand = heapq.heappop(queue)
+        if there == end:
+            return moves
+        if known[there, hand] < moves:
+            continue
+        for block in range(count):
+            leaves = bool(there >> block & 1)
+            after, kind = there ^ 1 << block, int(change.kind[block])
+            if not may(after if leaves else there, block):
+                continue
+            if rules.law(State(array(after), np.zeros(count, bool))) is None:
+                continue
+            cost = moves + (leaves or hand != kind)
+            key = after, kind if leaves else -1
+            if cost < known.get(key, 10**9):
+                known[key] = cost
+                heapq.heappush(queue, (cost, *key))
+    return None
+
+
+def test_a_block_that_is_free_goes_straight_to_its_new_place():
+    tower, pair = bricks(((0, 1),), ((0, 1),)), bricks(((0, 1), (2, 3)))
+    plan = rebuild(standing(tower), pair)
+    assert plan.rebuilt is not None
+    assert (plan.rebuilt.moves, plan.rebuilt.moves_bound) == (1, 1)
+    assert (plan.rebuilt.kept, plan.rebuilt.taken, plan.rebuilt.placed) == (1, 1, 1)
+    assert [step.action for step in plan.steps] == ["remove", "place"]
+
+
+def test_what_is_missing_comes_from_the_supply_and_what_is_left_over_goes():
+    one, three = bricks(((0, 1),)), bricks(((0, 1), (2, 3), (4, 5)))
+    more, fewer = rebuild(standing(one), three), rebuild(standing(three), one)
+    assert more.rebuilt is not None
+    assert fewer.rebuilt is not None
+    assert (more.rebuilt.moves, more.rebuilt.supplied) == (2, 2)
+    assert (fewer.rebuilt.moves, fewer.rebuilt.placed) == (2, 0)
+    assert standing(fewer).finished.blocks[0].id == "0-1/0"
+
+
+def test_the_same_structure_needs_no_move():
+    plan = planned(wall(7, 3))
+    same = rebuild(standing(plan), plan)
+    assert same.rebuilt is not None
+    assert (same.status, same.steps, same.rebuilt.moves_bound) == ("complete", (), 0)
+
+
+def test_what_lies_on_a_block_that_goes_leaves_first_and_comes_back():
+    old, new = bricks(((0, 2),), ((0, 1),)), bricks(((0, 1),), ((0, 1),))
+    plan = rebuild(standing(old), new)
+    assert plan.complete
+    assert plan.rebuilt is not None
+    # The upper one stays, but what is below is another one: it leaves, the base goes, and it comes.
+    ids = [(step.action, step.block) for step in standing(plan).steps]
+    assert ids[0] == ("remove", "0-1/1")
+    assert plan.rebuilt.moves == fewest(standing(old), new) == 4
+    assert plan.rebuilt.moves_bound == 3
+
+
+@pytest.mark.parametrize(
+    ("before", "after"), [((7, 4, 0), (9, 3, 4)), ((12, 5, 0), (9, 6, 4)), ((6, 3, 0), (6, 3, 7))]
+)
+def test_walls_become_others_in_few_moves_and_every_state_stands(before, after):
+    old, new = planned(wall(*before)), planned(wall(*after))
+    plan = rebuild(standing(old), new)
+    assert plan.complete
+    assert plan.rebuilt is not None
+    assert plan.rebuilt.moves_bound <= plan.rebuilt.moves <= 1.1 * plan.rebuilt.moves_bound
+    check_states(plan)
+    made = [np.sort(b.vertices, axis=0) for b in standing(plan).finished.blocks]
+    for block in standing(new).finished.blocks:
+        assert any(np.allclose(np.sort(block.vertices, axis=0), one) for one in made)
+
+
+def test_no_order_has_fewer_moves_than_the_bound():
+    rng, met, least = np.random.default_rng(3), 0, 0
+    while met < 12:
+        old, new = random_bricks(rng), random_bricks(rng)
+        if old is None or new is None:
+            continue
+        if len(standing(old).blocks) + len(standing(new).blocks) > 13:
+            continue
+        best, plan = fewest(standing(old), new), rebuild(standing(old), new)
+        assert plan.rebuilt is not None
+        assert best is not None
+        assert plan.rebuilt.moves_bound <= best
+        if plan.complete:
+            assert best <= plan.rebuilt.moves
+            least += plan.rebuilt.moves == best
+            check_states(plan)
+        met += 1
+    assert least >= 10
+
+
+def test_what_stood_from_the_start_is_in_the_file():
+    block = box_block("a", (0, 0, 0), (1, 1, 1))
+    whole = Assembly((block,), (AssemblyStep(remove="a"),))
+    assert whole.at_first == (True,)
+    with pytest.raises(InputError, match="a new one"):
+        Assembly((block,), (AssemblyStep(remove="a"), *[AssemblyStep(place="a")] * 2))
+
+
+def test_what_cannot_be_turned_into_another_is_said():
+    new = bricks(((0, 1),))
+    leaning = Assembly((box_block("a", (0, 0, 0.5), (0.1, 0.1, 0.6)),))
+    with pytest.raises(InputError, match="stands"):
+        rebuild(leaning, new)
+    large = Assembly((box_block("a", (0, 0, 0), (1, 1, 1), kind="1"),))
+    with pytest.raises(InputError, match="the same kit"):
+        rebuild(large, new)
