@@ -371,8 +371,8 @@ class Forward:
         there = [p for p in np.flatnonzero(props).tolist() if self._encloses(p)]
         if not there:
             return []
-        open_ = state.present.copy()
-        open_[there] = False
+        # Another prop in the way goes first: only the structure walls one in.
+        open_ = state.present & ~self.site.prop
         found = [p for p in there if not self.site.ways.free(p, open_)]
         for p in found:
             found += [
