@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import heapq
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, box_block
+from learn2assemble.assembly.instructions import instructions
+from learn2assemble.assembly.kit import load_kit
+from learn2assemble.cli import main
 from learn2assemble.errors import InputError
 from learn2assemble.jobs.build import build
 from learn2assemble.planning.plan import Plan
@@ -206,3 +210,61 @@ def test_what_cannot_be_turned_into_another_is_said():
     large = Assembly((box_block("a", (0, 0, 0), (1, 1, 1), kind="1"),))
     with pytest.raises(InputError, match="the same kit"):
         rebuild(large, new)
+
+
+def test_the_command_line_turns_a_plan_into_another(tmp_path, capsys):
+    for name, cells in (("old", wall(7, 3)), ("new", wall(6, 4, 4))):
+        np.save(tmp_path / f"{name}.npy", cells)
+    old, new = str(tmp_path / "old.npy"), str(tmp_path / "new.npy")
+    kit = ("--kit", "bricks")
+    assert main(["build", old, *kit, "--out", str(tmp_path / "old")]) == 0
+    asked = ["build", new, *kit, "--from", str(tmp_path / "old" / "plan.json")]
+    capsys.readouterr()
+    assert main([*asked, "--json", "--out", str(tmp_path / "new")]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["moves_bound"] <= told["moves"] <= told["taken"] + told["placed"]
+    assert told["kept"] + told["placed"] == told["blocks"]
+    made = Plan.load(tmp_path / "new")
+    check_states(made)
+    assert made.rebuilt is not None
+    assert made.rebuilt.moves == told["moves"]
+    cards = (tmp_path / "new" / "cards.html").read_text()
+    assert "Take block " in cards
+    assert "It goes to its new place in the next step." in cards
+    assert "Take away block" in (tmp_path / "new" / "view.html").read_text()
+    # What stands already is not asked for again.
+    told = instructions(standing(made))
+    assert len(told.start) == int(sum(standing(made).at_first))
+    needed = sum(line.built for line in told.bill)
+    assert made.rebuilt.supplied <= needed <= made.rebuilt.placed
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (("--arm", "panda"), "to take apart"),
+        (("--kit", "planks"), "kind of block"),
+        (("--from", "new.npy"), "unknown format"),
+        (("--kit", "lego", "--cell", "8"), "cell"),
+    ],
+)
+def test_what_has_no_way_from_one_to_the_other_is_one_line(
+    tmp_path, capsys, monkeypatch, more, said
+):
+    monkeypatch.chdir(tmp_path)
+    np.save("new.npy", wall(6, 4, 4))
+    np.save("old.npy", wall(7, 3))
+    main(["build", "old.npy", "--kit", "bricks", "--out", "old"])
+    capsys.readouterr()
+    asked = ["build", "new.npy", "--kit", "bricks", "--from", "old", "--out", "new", *more]
+    assert main(asked) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if "error" in line]
+    assert len(lines) == 1
+    assert said in lines[0]
+
+
+def test_bricks_and_dry_blocks_are_not_turned_into_one_another():
+    dry = bricks(((0, 1),))
+    clutching = replace(standing(dry), joint=load_kit("lego").joint)
+    with pytest.raises(InputError, match="dry blocks"):
+        rebuild(clutching, dry)

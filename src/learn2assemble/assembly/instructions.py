@@ -175,6 +175,7 @@ class Instructions:
         built: Counter[str] = Counter()
         props: Counter[str] = Counter()
         most: Counter[str] = Counter()
+        needed: Counter[str] = Counter()
         there = Counter(placement.shape.letter for placement in self.start)
         for placement in (p for group in self.groups for p in group.placements):
             letter = placement.shape.letter
@@ -183,8 +184,12 @@ class Instructions:
                 props[letter] += change
                 most |= props
             else:
+                # What has been taken away may come again elsewhere.
                 built[letter] += change
-        lines = [BillLine(s, built[s.letter], most[s.letter], there[s.letter]) for s in self.shapes]
+                needed |= built
+        lines = [
+            BillLine(s, needed[s.letter], most[s.letter], there[s.letter]) for s in self.shapes
+        ]
         return [line for line in lines if any(line[1:])]
 
     @property
@@ -235,11 +240,9 @@ def instructions(assembly: Assembly) -> Instructions:
             shapes.add(block, kind, colour)
     steps: list[tuple[int, Action]] = [(assembly.index(s.block), s.action) for s in assembly.steps]
     steps = steps or [(k, "place") for k, b in enumerate(assembly.blocks) if not b.support]
-    told = {index for index, _ in steps} | {assembly.index(id_) for id_ in assembly.not_built}
+    told = assembly.at_first if assembly.steps else [b.support for b in assembly.blocks]
     start = tuple(
-        shapes.placement(k, 0, assembly.blocks[k], "place")
-        for k in range(len(assembly.blocks))
-        if k not in told
+        shapes.placement(k, 0, assembly.blocks[k], "place") for k, there in enumerate(told) if there
     )
     upright = _carried_straight_down(assembly)
     return Instructions(
@@ -266,9 +269,11 @@ def _groups(
     ways = {number: step.way for number, step in enumerate(assembly.steps, 1) if step.way}
     together: list[list[tuple[int, int, Action]]] = []
     free, clutches = False, assembly.joint.law == "clutch"
+    # Where blocks of the structure go, what is below at last may not be there yet.
+    goes = any(action == "remove" and not assembly.blocks[k].prop for k, action in steps)
     for number, (index, action) in enumerate(steps, 1):
         block = assembly.blocks[index]
-        alone = action != "place" or block.prop or number in by_hand or number in ways
+        alone = action != "place" or block.prop or number in by_hand or number in ways or goes
         # Bricks come in the proven order, so nothing is at stake however they stand.
         alone = alone or not (upright[index] or clutches)
         last = together[-1][-1][1] if together else index

@@ -63,6 +63,15 @@ STATE = "build.jsonl"
     "plan a design, prove every step, write the report",
     "l2a build examples/designs/gabled_house.json --arm panda --out out/house",
     arg("design", metavar="DESIGN", help="a drawing, picture, mesh, voxels, blocks, or a task"),
+    arg(
+        "--from",
+        dest="old",
+        type=named,
+        default=None,
+        metavar="OLD",
+        help="turn this structure, a plan or a file of dry blocks, into the design with its own "
+        "blocks (docs/building.md)",
+    ),
     either(
         arg("--out", type=named, help="new or empty folder"),
         arg(
@@ -276,6 +285,7 @@ def _summary(plan: Plan) -> dict[str, Any]:
         "friction_range": plan.friction_range,
         "gap_range": plan.gap_range,
         **({"arm": to_plain(plan.arm)} if plan.arm else {}),
+        **(to_plain(plan.rebuilt) if plan.rebuilt else {}),
     }
 
 
@@ -306,6 +316,11 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
     elif plan.design.targets:
         needed = f"{plan.design.success_threshold:.1%}"
         output.say(f"coverage {plan.coverage:.1%} of the target, more than {needed} is needed")
+    if (made := plan.rebuilt) is not None:
+        output.say(
+            f"{made.moves} moves (no order without help has fewer than {made.moves_bound}): "
+            f"{made.kept} blocks stay, {made.taken} are taken away, {made.placed} placed"
+        )
     if plan.steps and plan.margin_g is not None:
         left = plan.without_margin
         more = f" ({left} of {len(plan.steps)} steps without a computed margin)" * bool(left)

@@ -18,7 +18,7 @@ from learn2assemble.export.pictures import (
     booklet,
 )
 
-_DONE = {"remove": "take a prop away", "hold": "hold a block", "release": "let go of a block"}
+_DONE = {"remove": "take a block away", "hold": "hold a block", "release": "let go of a block"}
 """What is done in steps that take no block from the heap."""
 _LINES = {"new": "n", "gone": "x", "held": "h"}
 """Classes of outlines."""

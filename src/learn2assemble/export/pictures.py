@@ -262,7 +262,11 @@ def _words(
     if told_of := hand_words(first):
         words.append(told_of)
     if first.action == "remove":
-        words.append("Take the prop away; nothing else may move.")
+        what = "the prop" if first.prop else f"block {told.assembly.blocks[first.block].id}"
+        words.append(f"Take {what} away; nothing else may move.")
+        after = told.placements[first.number : first.number + 1]
+        if [(p.shape, p.action) for p in after] == [(first.shape, "place")] and not first.prop:
+            words.append("It goes to its new place in the next step.")
     elif first.action != "place":
         words.append(f"{action_words(first.action, block_words(told, first))}.")
     elif first.prop:

@@ -78,6 +78,7 @@ def build(
     physics: str = "dynamic",
     noise: tuple[float, float] = (0.0, 0.0),
     state: Path | None = None,
+    old: str | Path | Assembly | None = None,
     **reading: Any,
 ) -> Plan:
     """Plan a design and prove every step.
@@ -123,6 +124,9 @@ def build(
             along each axis [m], about each axis [rad].
         state: file to which an exact plan's build by an arm appends every attempt; where it
             exists, the build goes on from it.
+        old: a structure of dry blocks that stands already, or its file (:func:`~learn2assemble.
+            assembly.files.read_assembly`): the plan begins with it and turns it into the design
+            with its own blocks (:func:`learn2assemble.planning.rebuild.rebuild`).
         reading: how to read a file or an array: ``unit``, ``cell``, ``size``, ``up``, ``depth``,
             ``cells_wide``, ``repair``, ``colours``, see
             :class:`learn2assemble.design.reading.Reading`.
@@ -153,6 +157,7 @@ def build(
             "holds": holds,
             "hands": hands,
             "shell": shell is not None,
+            "old": old,
             "noise": any(noise),
             "physics": physics != PHYSICS[0],
             **dict.fromkeys(reading, True),
@@ -171,6 +176,9 @@ def build(
         agent = PLANNERS[planner].resolve_agent(agent)
     choice = PlannerChoice(planner or EXACT, agent, seed)
     how = None
+    if old is not None and arm is not None:
+        raise InputError("arm", arm, "none with a structure to take apart: that is planned by hand")
+    standing = None if old is None else _read_old(old)
     if arm is not None:
         how = ArmChoice(arm, tool, layout, physics, noise, state, seed)
         how.check()
@@ -185,12 +193,8 @@ def build(
             },
             "an arm to build with (`arm=`)",
         )
-    given = {
-        "friction": friction,
-        "gap": gap,
-        "progress": progress,
-        "seconds": EXACT_SECONDS if seconds is None else seconds,
-    }
+    limit = EXACT_SECONDS if seconds is None else seconds
+    given = {"friction": friction, "gap": gap, "progress": progress, "seconds": limit}
     if shell is not None and not is_whole(shell, 1, 64):
         raise InputError("shell", shell, "a whole number of cells from 1 to 64")
     kit = _kit(kit)
@@ -198,15 +202,24 @@ def build(
     found = _read(opened, kit, supports != "none", reading)
     check_asked(found, kit, help_, choice.name)
     workcell = None if how is None else how.workcell(has_studs(found, kit))
-    if isinstance(found, Goals):
-        return goals_plan(found, workcell, choice, given)
-    if isinstance(found, Assembly):
+    if isinstance(found, CellDesign):
+        kit = kit_of(found, kit)
+        if standing is not None:
+            _check_kit(standing, kit)
+        if kit.joint.law == "clutch":
+            plan = bricks_plan(found, kit, workcell, help_, choice, given)
+        else:
+            plan = cells_plan(found, kit, workcell, supports != "none", choice, given)
+    elif isinstance(found, Goals):
+        plan = goals_plan(found, workcell, choice, given)
+    else:
         plan = blocks_plan(found, workcell, help_, given)
-        return replace(plan, design=replace(plan.design, source=source))
-    kit = kit_of(found, kit)
-    if kit.joint.law == "clutch":
-        return bricks_plan(found, kit, workcell, help_, choice, given)
-    return cells_plan(found, kit, workcell, supports != "none", choice, given)
+        plan = replace(plan, design=replace(plan.design, source=source))
+    if standing is None:
+        return plan
+    from learn2assemble.planning.rebuild import rebuild
+
+    return rebuild(standing, plan, seconds=limit, progress=progress)
 
 
 def reach(
@@ -274,6 +287,27 @@ def is_task(design: object) -> TypeGuard[str]:
 def builds_with_arm(design: object, arm: str | None = None) -> bool:
     """Whether an arm would build this; arguments of :func:`build`."""
     return PROBLEMS[design].has_arm(arm) if is_task(design) else arm is not None
+
+
+def _read_old(old: object) -> Assembly:
+    """A structure that stands, from what a caller gives."""
+    from learn2assemble.assembly.files import read_assembly
+
+    if isinstance(old, str | Path):
+        old = read_assembly(old)
+    if not isinstance(old, Assembly):
+        raise InputError("old", _called(old), "an assembly or its file")
+    return old
+
+
+def _check_kit(old: Assembly, kit: Kit) -> None:
+    """Refuse a standing structure of blocks that a kit has not."""
+    names = [kind.name for kind in kit.kinds]
+    for block in old.finished.blocks:
+        if not block.support:
+            check_name(
+                f"old structure: kind of block {block.id} (kit {kit.name})", block.kind, names
+            )
 
 
 def _refuse(given: Mapping[str, Any], expected: str) -> None:

@@ -182,7 +182,7 @@ def _check_kinds(old: Sequence[Block], new: Sequence[Block]) -> None:
         if not np.isclose(before[kind].volume, after[kind].volume, rtol=1e-2):
             got = f"{kind} of {before[kind].volume:.3g} m3"
             raise InputError(
-                "from",
+                "old",
                 got,
                 f"blocks as large as those to build, {kind} of "
                 f"{after[kind].volume:.3g} m3 (the same kit and cell)",

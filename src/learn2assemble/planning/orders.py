@@ -56,11 +56,14 @@ class OrderProblem:
         assembly: where they stand; its steps are not looked at.
         layers: what may carry, tried in this order in every state.
         friction: coefficients to prove every state for, the smallest first.
+        margin_friction: for which margins are told of loads that need none; by default the
+            smallest.
     """
 
     assembly: Assembly
     layers: tuple[ContactLayer, ...]
     friction: tuple[float, ...]
+    margin_friction: float | None = None
 
 
 # ---------------------------------------------------------------- dry blocks
@@ -221,7 +224,8 @@ def site_of(
     friction, count = list(problem.friction), len(given)
     laws: list[Law] = [ByForces(whole, *layer, friction) for layer in layers]
     if ByLoads.fits(level):
-        laws.insert(0, ByLoads.of_contacts(problem.assembly, level, friction[0], clock))
+        least = friction[0] if problem.margin_friction is None else problem.margin_friction
+        laws.insert(0, ByLoads.of_contacts(problem.assembly, level, least, clock))
     return BuildingSite(
         fixed=fixed,
         prop=np.array([block.prop for block in blocks]),

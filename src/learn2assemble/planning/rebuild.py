@@ -64,7 +64,7 @@ def rebuild(
     blocks = change.blocks
     nothing = np.zeros(len(blocks), bool)
     begin, end = State(change.old, nothing), State(change.new, nothing)
-    for state, what in ((begin, "from"), (end, "")):
+    for state, what in ((begin, "old structure"), (end, "")):
         if rules.law(state) is not None:
             continue
         names = list_ids(blocks, rules.laws[-1].moving(state)) or "some blocks"
@@ -129,7 +129,9 @@ def changed_over(
     ends = plan.friction_range or (new.friction, new.friction)
     some = {ends[0], ends[1]} if ends[1] < LARGEST else {ends[0]}
     gap = plan.gap_range[1] if plan.gap_range else 0.0
-    problem = OrderProblem(whole, contact_layers(blocks, faces, every, gap), tuple(sorted(some)))
+    layers = contact_layers(blocks, faces, every, gap)
+    # As of any plan of cells, margins are those with the friction of the kit.
+    problem = OrderProblem(whole, layers, tuple(sorted(some)), new.friction)
     site = site_of(problem, whole, problem.layers, Clock(seconds))
     change = Changeover(blocks, goes, stays, kinds_of(blocks), overlaps, lying_on(site.below))
     return change, Forward(site), (float(ends[0]), float(ends[1]))
@@ -145,8 +147,8 @@ def _check_joints(old: Assembly, new: Assembly) -> None:
     """Refuse joints that hold."""
     if old.holds or new.holds:
         both = "bricks that clutch" if old.holds and new.holds else "bricks and dry blocks"
-        raise InputError("from", both, "dry blocks, of both structures")
+        raise InputError("old structure", both, "dry blocks, of both structures")
     supports = [sorted(b.id for b in a.blocks if b.support) for a in (old, new)]
     if supports[0] != supports[1]:
         got = ", ".join(supports[0][:4]) or "none"
-        raise InputError("from: supports", got, ", ".join(supports[1][:4]) or "none")
+        raise InputError("old structure: supports", got, ", ".join(supports[1][:4]) or "none")

@@ -7,7 +7,6 @@ arm where one built it.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -363,8 +362,10 @@ def _weakest(plan: Plan) -> str:
     margin = step.margin_g or 0.0
     if plan.assembly is None or margin >= LARGEST:
         return f"{margin:.3f} g sideways"
-    here = replace(plan.assembly, steps=plan.assembly.steps[: step.step], not_built=())
-    mass = sum(b.mass for b in here.as_far_as_placed().finished.blocks if not b.support)
+    there = dict(zip((b.id for b in plan.assembly.blocks), plan.assembly.at_first, strict=True))
+    for done in plan.assembly.steps[: step.step]:
+        there[done.block] = done.action != "remove"
+    mass = sum(b.mass for b in plan.assembly.blocks if there[b.id] and not b.support)
     push = margin * mass * GRAVITY
     return f"a sideways push of {push:.2g} N ({margin:.3f} g)"
 

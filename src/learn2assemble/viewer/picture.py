@@ -93,10 +93,7 @@ def write_progress(plan: Plan, path: Path, moments: int = MOMENTS) -> None:
 
 def _standing(assembly: Assembly, count: int) -> np.ndarray:
     """bool[B]: what stands after ``count`` steps."""
-    if not assembly.steps:
-        return np.ones(len(assembly.blocks), bool)
-    later = {step.place for step in assembly.steps} | set(assembly.not_built)
-    there = np.array([block.id not in later for block in assembly.blocks])
+    there = np.array(assembly.at_first)
     for step in assembly.steps[:count]:
         there[assembly.index(step.block)] = step.action != "remove"
     return there

@@ -170,6 +170,8 @@ def block_parts(
     """
     never = len(assembly.steps) + 1
     stays = {id_: [_Stay(never)] for id_ in assembly.not_built}
+    there = zip(assembly.blocks, assembly.at_first, strict=True)
+    stays |= {block.id: [_Stay(0)] for block, here in there if here}
     for number, step in enumerate(assembly.steps, 1):
         stays.setdefault(step.block, [])
         if step.action == "place":
@@ -197,7 +199,7 @@ def block_parts(
             numbers[key] = len(shapes)
             shapes.append(block)
         colour = "bad" if block.id in moving else colour
-        for stay in stays.get(block.id, [_Stay(0)]):
+        for stay in stays[block.id]:
             parts.append(
                 ScenePart(
                     block,

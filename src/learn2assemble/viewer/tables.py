@@ -100,7 +100,9 @@ class Noted(NamedTuple):
         part, note = self.part, self.note
         if self.action in ("place", "remove"):
             name = "prop " * part.block.prop + f"{part.block.id} ({part.kind})"
-            text = f"{self.action.capitalize()} {name}, layer {part.layer + 1}."
+            away = "Remove" if part.block.prop else "Take away"
+            done = "Place" if self.action == "place" else away
+            text = f"{done} {name}, layer {part.layer + 1}."
         else:
             text = f"{action_words(self.action, f'block {part.block.id}')}."
         if told := hand_words(self.placement):
@@ -173,7 +175,9 @@ def summary(assembly: Assembly, parts: Sequence[ScenePart], extent: np.ndarray) 
     """How much there is, in one line; ``extent`` float64[3] of all of it [m]."""
     props = sum(part.block.prop for part in parts)
     supports = sum(part.block.support for part in parts)
-    words = [count_words(len(parts) - props - supports, "block"), millimetres(*extent)]
+    gone = sum(bool(part.removed) and not part.block.prop for part in parts)
+    words = [count_words(len(parts) - props - supports - gone, "block"), millimetres(*extent)]
+    words += [f"{gone} taken away"] if gone else []
     words += [count_words(props, "prop")] if props else []
     words += [count_words(supports, "fixed support")] if supports else []
     words += [count_words(len(assembly.steps), "step")] if assembly.steps else []
