@@ -14,7 +14,14 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from learn2assemble.assembly.joints import DRY, Joint, JointOf, joint_of_json, joints_of_json
+from learn2assemble.assembly.joints import (
+    DRY,
+    MOST_AGE,
+    Joint,
+    JointOf,
+    joint_of_json,
+    joints_of_json,
+)
 from learn2assemble.assembly.values import Colour, coordinates
 from learn2assemble.errors import InputError, check_name, is_number
 from learn2assemble.geometry.hulls import convex_hull
@@ -155,6 +162,7 @@ class AssemblyStep:
         by_hand: whether a person does it while an arm waits; None where all is done alike.
         way: of a brick that clutches and does not come from above: ``"below"``; ``"beside"``, it
             is built on another one beside, and brought with it.
+        wait: hours that one waits before the step, until the mortar of all that stands holds.
     """
 
     place: str | None = None
@@ -163,6 +171,7 @@ class AssemblyStep:
     release: str | None = None
     by_hand: bool | None = None
     way: Literal["below", "beside"] | None = None
+    wait: float | None = None
 
     def __post_init__(self) -> None:
         given = [self.place, self.remove, self.hold, self.release]
@@ -171,6 +180,8 @@ class AssemblyStep:
             raise InputError("step", tuple(id_ for id_ in given if id_ is not None), expected)
         if self.way is not None:
             check_name("step: way", self.way, ("below", "beside"))
+        if self.wait is not None and not is_number(self.wait, 0.0, MOST_AGE):
+            raise InputError("step: wait", self.wait, f"0 to {MOST_AGE:g} h")
 
     @property
     def action(self) -> Action:
@@ -286,6 +297,12 @@ class Assembly:
     def laws(self) -> tuple[Joint, ...]:
         """The laws of its joints, that of most of them first."""
         return (self.joint, *(one.joint for one in self.joints))
+
+    @property
+    def age(self) -> float:
+        """Hours until all mortar holds that is laid at one time; 0 where none is, or at once."""
+        mortars = (joint for joint in self.laws if joint.law == "mortar" and joint.holds)
+        return max((joint.age for joint in mortars), default=0.0)
 
     def with_capacity(self, capacity: float) -> Assembly:
         """The same with clutches of another capacity [N]; other laws stay.

@@ -123,9 +123,11 @@ _WAYS = {
 
 
 def hand_words(placement: Placement) -> str:
-    """What is said of a step that a person does while an arm waits, and of a brick that does not
-    come from above; empty of any other."""
+    """What is said of a step that a person does while an arm waits, of a brick that does not come
+    from above, and of a step before which mortar has to hold; empty of any other."""
     words = ["By hand, while the arm waits."] if placement.by_hand else []
+    if placement.wait is not None:
+        words.append(f"Wait {placement.wait:g} h first, until the mortar holds.")
     if placement.way is not None:
         words.append(_WAYS[placement.way])
     return " ".join(words)
@@ -163,6 +165,10 @@ def facts(told: Instructions) -> tuple[str, ...]:
         found.append("a hand keeps a block that is held in its place until it is let go")
     if by_hand := sum(p.by_hand for p in placements):
         found.append(f"{count_words(by_hand, 'step')} by hand, while the arm waits")
+    if waits := [p.wait for p in placements if p.wait is not None]:
+        found.append(
+            f"{count_words(len(waits), 'wait')} until mortar holds, {sum(waits):g} h in all"
+        )
     if left := len(told.assembly.not_built):
         found.append(f"not finished: {count_words(left, 'block')} of the design have no step")
     return tuple(found)

@@ -25,7 +25,7 @@ from learn2assemble.assembly.appearance import (
     sections,
     spread,
 )
-from learn2assemble.assembly.blocks import Action, Assembly, Block
+from learn2assemble.assembly.blocks import Action, Assembly, AssemblyStep, Block
 from learn2assemble.assembly.cuts import POST, Cut, cut_of
 
 MOST_TOGETHER = 6
@@ -106,6 +106,8 @@ class Placement:
     """Whether a person does it while an arm waits."""
     way: str | None = None
     """Whence a brick comes that does not come from above: ``below`` or ``beside``."""
+    wait: float | None = None
+    """Hours that one waits before it, until mortar holds."""
 
     @property
     def leans(self) -> bool:
@@ -265,15 +267,15 @@ def _groups(
     for height in np.sort(heights[[index for index, _ in steps]]).tolist():
         if not layers or height > layers[-1] + 1e-4:
             layers.append(height)
-    by_hand = {number for number, step in enumerate(assembly.steps, 1) if step.by_hand}
-    ways = {number: step.way for number, step in enumerate(assembly.steps, 1) if step.way}
+    said = dict(enumerate(assembly.steps, 1))
+    alone_ = {n for n, step in said.items() if step.by_hand or step.way or step.wait}
     together: list[list[tuple[int, int, Action]]] = []
     free, clutches = False, assembly.joint.law == "clutch"
     # Where blocks of the structure go, what is below at last may not be there yet.
     goes = any(action == "remove" and not assembly.blocks[k].prop for k, action in steps)
     for number, (index, action) in enumerate(steps, 1):
         block = assembly.blocks[index]
-        alone = action != "place" or block.prop or number in by_hand or number in ways or goes
+        alone = action != "place" or block.prop or number in alone_ or goes
         # Bricks come in the proven order, so nothing is at stake however they stand.
         alone = alone or not (upright[index] or clutches)
         last = together[-1][-1][1] if together else index
@@ -288,11 +290,7 @@ def _groups(
         height = float(heights[members[0][1]])
         layer = int(np.searchsorted(np.array(layers) - 1e-9, height, side="right"))
         placements = tuple(
-            replace(
-                shapes.placement(index, at, assembly.blocks[index], action),
-                by_hand=at in by_hand,
-                way=ways.get(at),
-            )
+            _told(shapes.placement(index, at, assembly.blocks[index], action), said.get(at))
             for at, index, action in members
         )
         _, index, action = members[0]
@@ -301,6 +299,13 @@ def _groups(
         held = held ^ {index} if action in ("hold", "release") else held
         found.append(Group(number, placements, layer, height, first, held))
     return found
+
+
+def _told(placement: Placement, step: AssemblyStep | None) -> Placement:
+    """With what a step says besides."""
+    if step is None:
+        return placement
+    return replace(placement, by_hand=bool(step.by_hand), way=step.way, wait=step.wait)
 
 
 def _carried_straight_down(assembly: Assembly) -> np.ndarray:

@@ -214,7 +214,8 @@ def carried_out(
         )
     made = tuple(
         AssemblyStep(
-            **{"remove" if s.remove else "place": plan.assembly.blocks[s.block].id},
+            place=None if s.remove else plan.assembly.blocks[s.block].id,
+            remove=plan.assembly.blocks[s.block].id if s.remove else None,
             by_hand=step.by_hand or None,
             way="beside" if step.way == "beside" else None,
         )

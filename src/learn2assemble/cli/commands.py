@@ -338,6 +338,8 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
         by_hand = [f"{s.step} ({s.action} {blocks[s.block].id})" for s in plan.steps if s.by_hand]
         if by_hand:
             output.say(f"by hand, while the arm waits: steps {', '.join(by_hand)}")
+    if waits := [f"{s.step} ({s.wait_h:g} h)" for s in plan.steps if s.wait_h is not None]:
+        output.say(f"wait until the mortar holds before steps {', '.join(waits)}")
     if plan.reason:
         output.say(f"why: {plan.reason}")
     for what, path in files.items():

@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from learn2assemble.planning.posts import Post
-from learn2assemble.planning.sequence import Doing, FoundOrder, Transition
+from learn2assemble.planning.sequence import WAIT, Doing, FoundOrder, Transition
 from learn2assemble.statics.laws import Law
 from learn2assemble.statics.states import State
 
@@ -51,6 +51,7 @@ class BuildingSite:
         rank: int64[B], its place from below.
         laws: what may carry a state, tried in this order.
         ways: along which blocks come and go.
+        mortar: whether one may wait until joints hold.
         onward: whether the block that comes next is looked for behind the last one, not again from
             below.
     """
@@ -62,6 +63,7 @@ class BuildingSite:
     rank: np.ndarray
     laws: Sequence[Law]
     ways: Ways
+    mortar: bool = False
     onward: bool = False
 
 
@@ -82,6 +84,8 @@ class Forward:
         self.start = State(site.fixed.copy(), np.zeros(total, bool))
         self.first = Transition((), self.start)
         self.end = State(self.wanted | site.fixed, np.zeros(total, bool))
+        if site.mortar:
+            self.end = self.end.change(wait=[-1])
         self.allowed: set[int] = set()
         """Posts that may be used."""
         self._order = np.argsort(site.rank[: self.count], kind="stable")
@@ -117,9 +121,11 @@ class Forward:
         """
         count, none = other.count, bytes(len(self.posts))
         for key, found in other._known.items():
-            self._known[key[:count] + none + key[count:] + none] = found
+            parts = (key[k : k + count] + none for k in range(0, len(key), count))
+            self._known[b"".join(parts)] = found
         more = np.zeros(len(self.posts), bool)
-        whole = State(np.append(state.present, more), np.append(state.held, more))
+        cured = None if state.cured is None else np.append(state.cured, more)
+        whole = State(np.append(state.present, more), np.append(state.held, more), cured)
         number = self.law(whole)
         if number is not None:
             self.laws[number].stands(whole)
@@ -222,12 +228,20 @@ class Forward:
             for b in ready:
                 yield from self._with(last, b, (), again=again)
             yield from self._posted(last, ready, again)
+        yield from self._waiting(last)
         for b, walled in waiting:
             yield from self._freeing(last, b, walled)
         # What stands there stays: these may be dead ends, as far as straight ways tell.
         for b in closing:
             if self.stands(after := state.change(place=[b]), [b]):
                 yield Transition((Doing("place", b),), after, last.gone)
+
+    def _waiting(self, last: Transition) -> Iterator[Transition]:
+        """A wait until mortar holds, where some of it is young."""
+        after = last.state.change(wait=[-1])
+        before = self.site.fixed if last.state.cured is None else last.state.cured
+        if self.site.mortar and (after.present & ~before & ~self.site.prop).any():
+            yield Transition((WAIT,), after, last.gone)
 
     def _closes(self, state: State, block: int) -> bool:
         """Whether a block that was placed shuts out one beside it, though all props have gone."""
@@ -285,7 +299,7 @@ class Forward:
             again: look at what failed among the same neighbours, else at the rest alone.
         """
         state, steps = last.state, []
-        key = block, posts, most, state.present[self.site.near[block]].tobytes()
+        key = block, posts, most, state.near(self.site.near[block])
         if self.allowed and (key in self._failed) != again:
             return
         for p in posts:
@@ -339,7 +353,7 @@ class Forward:
         steps = []
         there = np.flatnonzero(state.present & some).tolist()
         for p in sorted(there, key=lambda p: -self.site.rank[p]):
-            key = p, b"" if sure else state.present[self._wide(p)].tobytes()
+            key = p, b"" if sure else state.near(self._wide(p))
             if key in self._kept and not sure:
                 continue
             after = state.change(remove=[p])

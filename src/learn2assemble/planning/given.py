@@ -94,7 +94,9 @@ def plan_assembly(
     joints = Joints(assembly)
     _check_props(assembly, joints)
     layers = contact_layers(assembly.blocks, joints.faces, lambda: joints.every[0], widest)
-    problem = OrderProblem(assembly, layers, tuple(sorted(set(ends))))
+    # Joints that may open are not filled.
+    mortar = assembly.holds and not widest
+    problem = OrderProblem(assembly, layers, tuple(sorted(set(ends))), mortar=mortar)
     clock = Clock(seconds)
     help_ = Supports(supports != "none", holds, fewest=supports == "auto")
     if assembly.steps:

@@ -46,13 +46,15 @@ def plan_of(
         covered = float((present & wanted).sum()) / max(int(wanted.sum()), 1)
         way = None if step.way == "above" else step.way
         done: dict[str, Any] = {step.action: block.id}
-        made.append(AssemblyStep(**done, way=way))
+        wait = assembly.age if step.wait else None
+        made.append(AssemblyStep(**done, way=way, wait=wait))
         steps.append(
             replace(
                 plans.block_step(number, step.block, block, step.action, covered).with_proof(
                     step.proof, step.margin_g
                 ),
                 way=step.way,
+                wait_h=wait,
             )
         )
     blocks = replace(assembly, blocks=found.blocks, steps=tuple(made), not_built=())

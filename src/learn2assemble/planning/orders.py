@@ -23,6 +23,7 @@ from learn2assemble.planning.fewest_posts import fewest_posts
 from learn2assemble.planning.forward import BuildingSite, Forward
 from learn2assemble.planning.posts import find_posts
 from learn2assemble.planning.sequence import (
+    WAIT,
     Doing,
     Sequenced,
     Supports,
@@ -31,7 +32,7 @@ from learn2assemble.planning.sequence import (
     reported,
 )
 from learn2assemble.statics.holding_check import stands_by_joints, words_of
-from learn2assemble.statics.laws import ByForces, ByLoads, ByStrength, Law
+from learn2assemble.statics.laws import ByForces, ByLoads, ByMortar, ByStrength, Law
 from learn2assemble.statics.rigid_blocks import SIDE
 from learn2assemble.statics.states import State
 
@@ -50,7 +51,7 @@ class ContactLayer(NamedTuple):
 
 @dataclass(frozen=True)
 class OrderProblem:
-    """Dry blocks to put in order.
+    """Blocks that come dry to put in order.
 
     Attributes:
         assembly: where they stand; its steps are not looked at.
@@ -58,12 +59,14 @@ class OrderProblem:
         friction: coefficients to prove every state for, the smallest first.
         margin_friction: for which margins are told of loads that need none; by default the
             smallest.
+        mortar: whether what mortar holds carries, too, once it is old enough.
     """
 
     assembly: Assembly
     layers: tuple[ContactLayer, ...]
     friction: tuple[float, ...]
     margin_friction: float | None = None
+    mortar: bool = False
 
 
 # ---------------------------------------------------------------- dry blocks
@@ -110,18 +113,23 @@ def follow_steps(
     """Proof of the steps that an assembly comes with, up to the first state that is not proven."""
     order = _DryOrder(problem, _NO_SUPPORTS, clock, progress)
     index = problem.assembly.index
-    steps = [Doing(step.action, index(step.block)) for step in problem.assembly.steps]
-    state, proven = order.rules.start, 0
+    steps: list[Doing] = []
+    for step in problem.assembly.steps:
+        cures = step.wait is not None and step.wait >= problem.assembly.age
+        steps += [WAIT] * cures + [Doing(step.action, index(step.block))]
+    state, proven, stuck = order.rules.start, 0, ()
     for number, (action, block, _) in enumerate(steps):
         state = state.change(**{action: [block]})
+        if action == "wait":
+            continue
         # A block that is held at once is not let go before.
         ahead = steps[number + 1 : number + 2] == [Doing("hold", block)]
         new = [block] if action in ("place", "release") and not ahead else []
         if clock.left <= 0 or not (ahead or order.rules.stands(state, new)):
+            stuck = (block,)
             break
         proven = number + 1
         progress(f"step {proven}: {order.blocks[block].id}")
-    stuck = () if proven == len(steps) else (steps[proven].block,)
     return order.sequenced(_Steps(steps[:proven], stuck, not stuck))
 
 
@@ -166,7 +174,7 @@ class _DryOrder:
         rules, count = self.rules, self.count
         used = {step.block for step in found.steps if step.block >= count}
         few = int(rules.wanted.sum()) <= _SMALL and not rules.site.prop[:count].any()
-        if not few or rules.holds or (found.complete and len(used) < 2):
+        if not few or rules.holds or rules.site.mortar or (found.complete and len(used) < 2):
             return found
         self.progress("looking for fewer posts")
         steps = fewest_posts(rules, self.clock)
@@ -226,6 +234,9 @@ def site_of(
     if ByLoads.fits(level):
         least = friction[0] if problem.margin_friction is None else problem.margin_friction
         laws.insert(0, ByLoads.of_contacts(problem.assembly, level, least, clock))
+    if problem.mortar:
+        bare = replace(problem.assembly, steps=(), not_built=())
+        laws.append(ByMortar(replace(bare, blocks=blocks, friction=friction[0]), laws[-1]))
     return BuildingSite(
         fixed=fixed,
         prop=np.array([block.prop for block in blocks]),
@@ -234,6 +245,7 @@ def site_of(
         rank=_from_below(blocks),
         laws=laws,
         ways=FreeWays(blocks, contacts, 2 * float(contact_tolerance(given).max()), count),
+        mortar=problem.mortar and problem.assembly.age > 0,
     )
 
 

@@ -174,6 +174,8 @@ class Step:
     way: Literal["above", "below", "beside"] | None = None
     """Of a brick that clutches: whence it comes; ``beside``: it is built on another one beside, and
     attached with it when that is released."""
+    wait_h: Annotated[float, Range(0, 1e6)] | None = None
+    """Hours that one waits before the step, until the mortar of all that stands holds."""
 
     def with_proof(self, proof: str, margin_g: float | None) -> Step:
         """The step with this proof and this margin [g]; None: none is known."""

@@ -14,13 +14,15 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Generic, Literal, NamedTuple, Protocol, TypeVar
 
+from learn2assemble.assembly.blocks import Action as BlockAction
 from learn2assemble.assembly.blocks import Block
 from learn2assemble.linear_programs import Clock
 from learn2assemble.progress import Detail
 from learn2assemble.statics.laws import Law
 from learn2assemble.statics.states import State
 
-Action = Literal["place", "remove", "hold", "release"]
+Action = Literal["place", "remove", "hold", "release", "wait"]
+"""``wait``: until the mortar of all that is there holds; of no block."""
 Way = Literal["above", "below", "beside"]
 Move = TypeVar("Move")
 _FEW = 10
@@ -33,6 +35,9 @@ class Doing(NamedTuple):
     action: Action
     block: int
     way: Way | None = None
+
+
+WAIT = Doing("wait", -1)
 
 
 @dataclass(frozen=True)
@@ -64,13 +69,15 @@ class Transition(NamedTuple):
 class SequenceStep(NamedTuple):
     """One step, and what is proven of the state after it."""
 
-    action: Action
+    action: BlockAction
     block: int
     """Index in the blocks of the sequence."""
     proof: str
     margin_g: float | None
     way: Way | None = None
     """Of a brick, whence it comes: ``above``, ``below``, or ``beside``, where it was built."""
+    wait: bool = False
+    """Whether one waits before it until the mortar of all that is there holds."""
 
 
 @dataclass(frozen=True)
@@ -169,14 +176,18 @@ def reported(
     Args:
         by: the number of the law by which a state stands.
     """
-    state = start
+    state, wait = start, False
     for number, (action, block, way) in enumerate(steps):
         state = shown = state.change(**{action: [block]})
+        if action == "wait":
+            wait = True
+            continue
         if steps[number + 1 : number + 2] == [Doing("hold", block)]:
             shown = state.change(hold=[block])  # The hand that placed it has it still.
         law = by(shown)
         assert law is not None
-        yield SequenceStep(action, block, *laws[law].report(shown), way)
+        yield SequenceStep(action, block, *laws[law].report(shown), way, wait)
+        wait = False
 
 
 def list_ids(blocks: Sequence[Block], some: Iterable[int]) -> str:

@@ -478,7 +478,7 @@ def _solver(blocks: int) -> Any:
     return solver
 
 
-def balance_of(assembly: Assembly, sides: bool = False, cured: bool = True) -> Balance:
+def balance_of(assembly: Assembly, sides: bool = False, cured: np.ndarray | None = None) -> Balance:
     """The program of an assembly; arguments as :class:`Balance` and
     :func:`.holding_forces.forces_of`."""
     return Balance(assembly, forces_of(assembly, cured), sides)

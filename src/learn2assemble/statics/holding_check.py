@@ -24,7 +24,7 @@ class JointAnswer(NamedTuple):
     forces: Forces
 
 
-def stands_by_joints(assembly: Assembly, cured: bool = True) -> JointAnswer:
+def stands_by_joints(assembly: Assembly) -> JointAnswer:
     """Whether an assembly stands on what weight and joints press together, else with faces side by
     side that push, too.
 
@@ -32,7 +32,7 @@ def stands_by_joints(assembly: Assembly, cured: bool = True) -> JointAnswer:
         InputError: where nothing stands on a support or the ground; see
             :func:`~learn2assemble.statics.holding_forces.forces_of`.
     """
-    forces = forces_of(assembly, cured)
+    forces = forces_of(assembly)
     supported = any(block.support for block in assembly.blocks)
     if not supported and not (forces.contacts.a == GROUND).any():
         low = min(assembly.blocks, key=lambda block: float(block.vertices[:, 2].min()))

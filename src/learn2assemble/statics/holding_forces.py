@@ -14,7 +14,7 @@ linearly, and forces along the patch up to its shear strength.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -62,7 +62,8 @@ class Forces(NamedTuple):
     contacts: Contacts
     """The joints, to be shown."""
     upright: np.ndarray
-    """bool[n]: of ``columns``, those that weight presses: not at faces side by side."""
+    """bool[n]: of ``columns``, those that weight presses: at faces side by side only where mortar
+    that holds fills the joint."""
 
 
 def _columns(
@@ -111,12 +112,13 @@ def law_between(assembly: Assembly) -> Callable[[int, int], Joint]:
     return law
 
 
-def forces_of(assembly: Assembly, cured: bool = True) -> Forces:
+def forces_of(assembly: Assembly, cured: np.ndarray | None = None) -> Forces:
     """What all joints of an assembly can bear.
 
     Args:
-        assembly: the blocks where they stand; steps are not looked at.
-        cured: whether mortar holds; else its joints are dry, unless it holds at once.
+        assembly: the blocks where they stand; steps are not looked at. No mortar holds its props.
+        cured: bool[B], the blocks between which, and under which, mortar holds; all by default.
+            Elsewhere its joints are dry, unless it holds at once.
 
     Raises:
         InputError: for blocks under a law of clutch that are no bricks on one lattice, and for
@@ -190,9 +192,10 @@ def _of_bricks(
     return Forces(columns, joined(preload), contacts, _bearing(columns, contacts))
 
 
-def _bearing(columns: Columns, contacts: Contacts) -> np.ndarray:
-    """bool[n]: columns that are not at a patch that is vertical."""
+def _bearing(columns: Columns, contacts: Contacts, filled: Sequence[int] = ()) -> np.ndarray:
+    """bool[n]: columns that are not at a patch that is vertical, or at one of those ``filled``."""
     side = np.abs(contacts.normal[:, 2]) <= SIDE
+    side[list(filled)] = False
     at = columns.corner >= 0
     bearing = np.ones(len(at), bool)
     bearing[at] = ~side[contacts.patch[columns.corner[at]]]
@@ -300,14 +303,17 @@ def _coned(
     return _columns(a[many], b[many], force.reshape(-1, 3), at[many], corner[many])
 
 
-def _of_patches(assembly: Assembly, cured: bool) -> Forces:
+def _of_patches(assembly: Assembly, cured: np.ndarray | None) -> Forces:
     """Joints of several laws: the patches of contact, and studs where a joint clutches."""
     contacts = find_contacts(assembly)
     law = law_between(assembly)
     laws = [law(a, b) for a, b in zip(contacts.a.tolist(), contacts.b.tolist(), strict=True)]
     clutching = [joint.law == "clutch" and joint.holds for joint in laws]
+    laid = np.array([not block.prop for block in assembly.blocks])
+    cured = laid if cured is None else cured & laid
     parts: list[Columns] = []
     preload: list[Columns] = []
+    filled: list[int] = []
     start = contacts.start
     studs = _studs_of(assembly, laws, clutching, contacts)
     for patch, joint in enumerate(laws):
@@ -325,13 +331,16 @@ def _of_patches(assembly: Assembly, cured: bool) -> Forces:
                 preload.append(made[2])
             continue
         parts.append(_coned(*pair, normals, at, corner, assembly.friction))
-        if joint.law == "mortar" and joint.holds and (cured or joint.age == 0):
+        old = laid if joint.age == 0 else cured
+        if joint.law == "mortar" and joint.holds and old[b] and (a == GROUND or old[a]):
+            filled.append(patch)
             more, pull = _mortar(contacts, patch, joint)
             parts.append(more)
             preload.append(pull)
     empty = _columns(np.empty(0), np.empty(0), np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
     columns = joined([empty, *parts])
-    return Forces(columns, joined([empty, *preload]), contacts, _bearing(columns, contacts))
+    bearing = _bearing(columns, contacts, filled)
+    return Forces(columns, joined([empty, *preload]), contacts, bearing)
 
 
 def _mortar(contacts: Contacts, patch: int, joint: Joint) -> tuple[Columns, Columns]:

@@ -1,4 +1,4 @@
-"""What may carry a state of blocks, as one interface over three proofs.
+"""What may carry a state of blocks, as one interface over several proofs.
 
 Where all joints are level, loads are passed down block by block (:mod:`.step_proof`), which needs
 no friction; else forces in Coulomb's cone balance the state (:mod:`.states`). Joints that hold bear
@@ -15,9 +15,9 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import Contacts, shrunk
 from learn2assemble.linear_programs import Clock
-from learn2assemble.statics.holding import Balance, Push
+from learn2assemble.statics.holding import Balance, Push, balance_of
 from learn2assemble.statics.holding_forces import forces_of
-from learn2assemble.statics.proofs import CLUTCH, CLUTCH_TIGHT, LOCAL, PROGRAM
+from learn2assemble.statics.proofs import CLUTCH, CLUTCH_TIGHT, LOCAL, MORTAR, PROGRAM
 from learn2assemble.statics.sideways import Sideways
 from learn2assemble.statics.states import Pushes, State, States
 from learn2assemble.statics.step_proof import (
@@ -247,3 +247,50 @@ class ByStrength:
         if push is not None:
             push = push._replace(block=int(np.searchsorted(scope, push.block)))
         return self._narrow.stands(present[scope], state.held[scope], push)
+
+
+class ByMortar:
+    """Forces of joints of which those hold that mortar has had its time to hold; the rest is dry.
+
+    Args:
+        assembly: steps are not looked at.
+        dry: the law of the same blocks where no mortar holds.
+    """
+
+    def __init__(self, assembly: Assembly, dry: Law) -> None:
+        self.assembly, self.dry = assembly, dry
+        self._young = np.zeros(len(assembly.blocks), bool)
+        self._at_once = any(joint.holds and joint.age == 0 for joint in assembly.laws)
+        self._cured, self._balance = self._young, balance_of(assembly, cured=self._young)
+
+    def stands(self, state: State, thorough: bool = True) -> bool:
+        balance = self._of(state)
+        return balance is not None and balance.stands(state.present, state.held)
+
+    def rests(self, state: State, block: int) -> bool:
+        """What mortar holds is not squeezed; a block that has just come is dry."""
+        held = self._at_once or (state.cured is not None and bool(state.cured[block]))
+        return held or self.dry.rests(state, block)
+
+    def report(self, state: State) -> tuple[str, float | None]:
+        balance = self._of(state)
+        assert balance is not None
+        return MORTAR, balance.margin_g(state.present, state.held)
+
+    def moving(self, state: State) -> list[int]:
+        balance = self._of(state)
+        if balance is None:
+            return self.dry.moving(state)
+        return balance.holding(state.present, state.held).moving
+
+    def falls(self, state: State) -> bool:
+        return self.dry.falls(state) and not self.stands(state)
+
+    def _of(self, state: State) -> Balance | None:
+        """The program where the joints of a state hold that are old enough; None where none do."""
+        if state.cured is None and not self._at_once:
+            return None
+        cured = self._young if state.cured is None else state.cured
+        if (cured != self._cured).any():
+            self._cured, self._balance = cured, balance_of(self.assembly, cured=cured)
+        return self._balance

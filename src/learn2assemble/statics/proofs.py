@@ -13,6 +13,9 @@ POINTS = "edges and points"
 """Proof of a step of given blocks that rest on edges or points, too."""
 CLUTCH, CLUTCH_TIGHT = "joints that hold", "joints that hold and tight joints"
 """Proof of a step of bricks that clutch, also under its press: without and with side faces."""
+MORTAR = "mortar that holds"
+"""Proof of a step of given blocks after one has waited until the mortar of those before it holds;
+that of blocks that came since is not looked at, and they are dry."""
 
 Bounds = float | tuple[float, float] | None
 """A number, or the smallest and the largest of a range; None: that of the kit."""

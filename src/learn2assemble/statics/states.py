@@ -46,15 +46,23 @@ class State:
     Attributes:
         present: bool[B].
         held: bool[B]; a block that is held bears any load.
+        cured: bool[B], those that were there when one last waited until mortar holds; None before.
     """
 
     present: np.ndarray
     held: np.ndarray
+    cured: np.ndarray | None = None
 
     @property
     def key(self) -> bytes:
         """Of tables of states."""
-        return self.present.tobytes() + self.held.tobytes()
+        cured = b"" if self.cured is None else self.cured.tobytes()
+        return self.present.tobytes() + self.held.tobytes() + cured
+
+    def near(self, blocks: Sequence[int]) -> bytes:
+        """Which of some blocks are there, and which of them mortar holds."""
+        cured = b"" if self.cured is None else self.cured[blocks].tobytes()
+        return self.present[blocks].tobytes() + cured
 
     def change(
         self,
@@ -63,8 +71,13 @@ class State:
         remove: Iterable[int] = (),
         hold: Iterable[int] = (),
         release: Iterable[int] = (),
+        wait: Sequence[int] = (),
     ) -> State:
-        """The state after blocks were placed, removed, held and released, in this order."""
+        """The state after blocks were placed, removed, held and released, in this order.
+
+        Args:
+            wait: not empty where one has waited until the mortar of all that was there holds.
+        """
         present, held = self.present.copy(), self.held.copy()
         for blocks, array, value in (
             (place, present, True),
@@ -74,7 +87,8 @@ class State:
             (remove, held, False),
         ):
             array[list(blocks)] = value
-        return State(present, held)
+        cured = self.present if wait else self.cured
+        return State(present, held, None if cured is None else cured & present)
 
 
 class States:

@@ -207,7 +207,9 @@ def _row(step: Noted, covered: bool, more: bool) -> str:
     margin = note.margin_g or 0.0
     cells = [
         str(step.number),
-        step.action + " by hand" * step.placement.by_hand,
+        "wait, " * (step.placement.wait is not None)
+        + step.action
+        + " by hand" * step.placement.by_hand,
         letter,
         x,
         y,
