@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 from l2a_lab.fewest_posts import fewest_posts, random_assembly
 from l2a_lab.measured import Figures, Result
+from l2a_lab.rebuilding import PAIRS, RATIO, rebuild_entry
 from l2a_lab.states import GAP, count_states, every, largest_moves
 from l2a_lab.states import SECONDS as SIMULATED
 from learn2assemble.assembly.blocks import Assembly, Block
@@ -117,6 +118,7 @@ def names() -> list[str]:
     found += [f"check/{name}" for name, case in CHECKS.items() if case.file.exists()]
     found += [f"posts/{seed}" for seed in range(RANDOM)]
     found += [f"pile/{seed}" for seed in range(PILES)]
+    found += [f"rebuild/{seed}" for seed in range(PAIRS)]
     return found + [f"states/{name}" for name in STATES if ORDERS[name].file.exists()]
 
 
@@ -140,6 +142,8 @@ def entry(name: str) -> Result:
         return check_entry(CHECKS[what])
     if kind == "states":
         return states_entry(ORDERS[what])
+    if kind == "rebuild":
+        return rebuild_entry(int(what))
     return pile_entry(int(what)) if kind == "pile" else posts_entry(int(what))
 
 
@@ -271,6 +275,8 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
         rows.append(("fewest posts", "all", f"{len(same)} of {len(known)}; not: {left}"))
     if piles := groups.get("pile"):
         rows += _pile_rows(piles)
+    if pairs := groups.get("rebuild"):
+        rows += _pair_rows(pairs)
     for name, one in groups.get("states", {}).items():
         got = f"{1e3 * one['largest_move_m']:.3f} mm, {one['simulated']} of {one['states']} states"
         rows.append((f"MuJoCo: {name}", f"<= {1e3 * LIMIT:g} mm", got))
@@ -287,6 +293,26 @@ def _pile_rows(piles: dict[str, Result]) -> list[tuple[str, str, str]]:
         got = f"{1e3 * max(moves.values()):.3f} mm at most; more in: {more}"
         rows.append((f"MuJoCo: piles{words}", f"<= {1e3 * LIMIT:g} mm", got))
     return rows
+
+
+def _pair_rows(pairs: dict[str, Result]) -> list[tuple[str, str, str]]:
+    proven = [
+        name
+        for name, one in pairs.items()
+        if one["status"] == "complete" and not one["states_that_fall"]
+    ]
+    ratio = {name: pairs[name]["moves"] / max(pairs[name]["moves_bound"], 1) for name in proven}
+    few = [name for name in proven if ratio[name] <= RATIO]
+    left = ", ".join(sorted(set(pairs) - set(few), key=int)) or "none"
+    worst = f"; {max(ratio.values()):.3f} at most" if ratio else ""
+    return [
+        ("one design into another", "all", f"{len(proven)} of {len(pairs)} with all states proven"),
+        (
+            "moves over their bound",
+            f"<= {RATIO:g}",
+            f"{len(few)} of {len(pairs)}{worst}; not: {left}",
+        ),
+    ]
 
 
 FIGURES = Figures("learn2assemble-structure-figures", names, entry, configuration, summary)

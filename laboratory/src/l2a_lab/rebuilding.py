@@ -1,0 +1,112 @@
+"""Pairs of random designs of one heap, the one turned into the other, measured.
+
+The first design of a pair is built of any blocks; these are the heap that the second one is built
+of. Every second pair goes the other way round: what is missing then comes from the heap.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+
+from l2a_lab.measured import Result
+from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
+from learn2assemble.jobs.build import build
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.rebuild import rebuild
+from learn2assemble.statics.rigid_blocks import FALLS, check
+from learn2assemble.tasks.designs import FAMILIES, draw
+
+PAIRS = 20
+LEAST, MOST = 20, 80
+"""Blocks of a design."""
+SECONDS, DESIGN_SECONDS = 120.0, 5.0
+"""Limits of an order with its proof, and of the plan of a design of a pair."""
+RATIO = 1.1
+"""Moves over their bound, asked at most."""
+
+
+def rebuild_entry(seed: int) -> Result:
+    """One pair by its seed; seconds are of the processor."""
+    first, second, drawn = _pair(np.random.default_rng([seed, 28]))
+    old, new = (second, first) if seed % 2 else (first, second)
+    assert old.assembly is not None
+    started = time.process_time()
+    plan = rebuild(old.assembly, new, seconds=SECONDS)
+    used = time.process_time() - started
+    assert plan.rebuilt is not None
+    found = plan.rebuilt
+    return {
+        "old": old.design.name,
+        "new": new.design.name,
+        "old_blocks": old.blocks.used,
+        "new_blocks": new.blocks.used,
+        "designs_drawn": drawn,
+        "status": plan.status,
+        "reason": plan.reason,
+        "moves": found.moves,
+        "moves_bound": found.moves_bound,
+        "kept": found.kept,
+        "taken": found.taken,
+        "placed": found.placed,
+        "states_that_fall": _falling(plan),
+        "seconds": round(used, 3),
+    }
+
+
+def _pair(rng: np.random.Generator) -> tuple[Plan, Plan, int]:
+    """Two designs of one heap, and how many were drawn for them."""
+    kit, count = load_kit(DEFAULT_KIT), 0
+    while True:
+        first, drawn = _design(rng, kit, 30, MOST, 6 * MOST)
+        count += drawn
+        if first is None or first.assembly is None:
+            continue
+        there = Counter(block.kind for block in first.assembly.finished.blocks)
+        kinds = tuple(
+            replace(kind, count=there[kind.name]) for kind in kit.kinds if there[kind.name]
+        )
+        cells = sum(len(kind.cells) * there[kind.name] for kind in kinds)
+        second, drawn = _design(rng, replace(kit, kinds=kinds), LEAST, first.blocks.used, cells)
+        count += drawn
+        if second is not None:
+            return first, second, count
+
+
+def _design(
+    rng: np.random.Generator, kit: Kit, low: int, high: int, cells: int
+) -> tuple[Plan | None, int]:
+    """A random design of so many blocks that needs no props, if one of some is.
+
+    Args:
+        cells: of the largest drawing that is tried.
+    """
+    tried = 0
+    for _ in range(200):
+        family, goal = str(rng.choice(list(FAMILIES))), float(rng.uniform(low, high))
+        wanted = draw(family, rng, (4 * goal) ** 0.5, False)
+        if wanted is None or not 2 * low <= wanted.sum() <= min(cells, 6 * high):
+            continue
+        tried += 1
+        plan = build(wanted, kit=kit, supports="none", seconds=DESIGN_SECONDS)
+        if plan.complete and low <= plan.blocks.used <= high:
+            return replace(plan, design=replace(plan.design, name=family)), tried
+        if tried == 12:
+            break
+    return None, tried
+
+
+def _falling(plan: Plan) -> int:
+    """States of a plan that fall by the check of any structure, which knows no order."""
+    assert plan.assembly is not None
+    whole = replace(plan.assembly, steps=())
+    there = {b.id for b, at in zip(whole.blocks, plan.assembly.at_first, strict=True) if at}
+    falls = 0
+    for step in plan.assembly.steps:
+        there ^= {step.block}
+        blocks = tuple(block for block in whole.blocks if block.id in there)
+        falls += bool(blocks) and check(replace(whole, blocks=blocks)).verdict == FALLS
+    return falls
