@@ -24,6 +24,7 @@ from learn2assemble.export.pictures import booklet
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.statics.holding import Push, balance_of
+from learn2assemble.statics.rigid_blocks import check
 from learn2assemble.viewer.scene import block_parts, scene_data
 
 SAMPLES = [n for n, d in brick_data.designs().items() if "StableLego" not in d["source"]]
@@ -275,3 +276,24 @@ def test_the_command_line_builds_brick_text(
     assert main(["export", str(out), "--format", "ldraw", "--out", str(ldr)]) == 0
     assert ldr.read_text().count("0 STEP") == 4
     assert main(["build", str(ldr), "--out", str(tmp_path / "again")]) == 1  # One hangs.
+
+
+def test_every_step_has_the_margins_of_what_stands_after_it() -> None:
+    """Against a check of the bricks alone that stand, where no hand holds any."""
+    model = brick_data.design("apex_R")
+    plan = plan_assembly(model, hands=True)
+    assert plan.assembly is not None
+    assert plan.status == "complete"
+    held: set[int] = set()
+    looked = 0
+    for number, step in enumerate(plan.steps, 1):
+        held ^= {step.block} if step.action in ("hold", "release") else set()
+        ahead = plan.steps[number : number + 1]
+        if held or any((s.action, s.block) == ("hold", step.block) for s in ahead):
+            continue
+        there = {s.block for s in plan.steps[:number] if s.action == "place"}
+        found = check(replace(model, blocks=tuple(model.blocks[k] for k in sorted(there))))
+        assert step.margin_n == pytest.approx(found.margin_n, abs=1e-5)
+        assert step.margin_g == pytest.approx(found.margin_g, rel=0.02, abs=1e-5)
+        looked += 1
+    assert looked > len(model.blocks) // 2

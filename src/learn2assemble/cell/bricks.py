@@ -209,5 +209,4 @@ class BrickStructure(Structure):
         if not self.states.stands(standing):
             return None
         present = self.states.present(standing)
-        proof, _ = self.states.law.report(State(present, np.zeros_like(present)))
-        return proof, self.states.balance.margin_g(present)
+        return self.states.law.proof, self.states.balance.margin_g(present)

@@ -282,6 +282,7 @@ def _summary(plan: Plan) -> dict[str, Any]:
         "proof_s": plan.proof_s,
         "seconds": plan.seconds,
         "margin_g": plan.margin_g,
+        "margin_n": min((s.margin_n for s in plan.steps if s.margin_n is not None), default=None),
         "friction_range": plan.friction_range,
         "gap_range": plan.gap_range,
         **({"arm": to_plain(plan.arm)} if plan.arm else {}),

@@ -55,6 +55,7 @@ def plan_of(
                 ),
                 way=step.way,
                 wait_h=wait,
+                margin_n=None if step.margin_n is None else round(step.margin_n, 6),
             )
         )
     blocks = replace(assembly, blocks=found.blocks, steps=tuple(made), not_built=())

@@ -163,6 +163,8 @@ class Step:
     """Smallest horizontal acceleration that static equilibrium does not withstand [g]."""
     tilt_deg: Annotated[float, Range(-180, 180)] | None = None
     """Smallest tilt of the table that it does not withstand [deg]."""
+    margin_n: Annotated[float, Range(-1e6, 1e6)] | None = None
+    """Of bricks that clutch: what a contact point can pull more than it needs to [N]."""
     proof: str | None = None
     """What proves that everything stands after the step."""
     outcome: str | None = None

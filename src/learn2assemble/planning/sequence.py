@@ -78,6 +78,8 @@ class SequenceStep(NamedTuple):
     """Of a brick, whence it comes: ``above``, ``below``, or ``beside``, where it was built."""
     wait: bool = False
     """Whether one waits before it until the mortar of all that is there holds."""
+    margin_n: float | None = None
+    """Of bricks that clutch, what a contact point can pull more than it needs to [N]."""
 
 
 @dataclass(frozen=True)
@@ -186,7 +188,8 @@ def reported(
             shown = state.change(hold=[block])  # The hand that placed it has it still.
         law = by(shown)
         assert law is not None
-        yield SequenceStep(action, block, *laws[law].report(shown), way, wait)
+        proof, margin_g, margin_n = laws[law].report(shown)
+        yield SequenceStep(action, block, proof, margin_g, way, wait, margin_n)
         wait = False
 
 

@@ -8,7 +8,7 @@ what their strength allows (:mod:`.holding`).
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import Contacts, shrunk
 from learn2assemble.linear_programs import Clock
 from learn2assemble.statics.holding import Balance, Push, balance_of
+from learn2assemble.statics.holding_check import margin_n, reference
 from learn2assemble.statics.holding_forces import forces_of
 from learn2assemble.statics.proofs import CLUTCH, CLUTCH_TIGHT, LOCAL, MORTAR, PROGRAM
 from learn2assemble.statics.sideways import Sideways
@@ -32,8 +33,21 @@ from learn2assemble.statics.step_proof import (
 _LEVEL = 1 - 1e-6
 _KEPT = 2e8
 """Bytes of forces that are kept."""
+_FEW = 50, 100
+"""Bricks up to which margins are found in g, and in newtons."""
 _LARGE, _NARROW = 100, 0.75
 """Blocks from which programs are made anew, when so small a share of theirs is there."""
+
+
+class Shown(NamedTuple):
+    """What is known of a state that stands."""
+
+    proof: str
+    """What proves it."""
+    margin_g: float | None
+    """The sideways acceleration in every direction that it withstands [g], where it is known."""
+    margin_n: float | None = None
+    """Of clutches, what a contact point can pull more than it needs to [N], where it is known."""
 
 
 class Law(Protocol):
@@ -51,8 +65,8 @@ class Law(Protocol):
         """Whether a block is carried where all others bear any load, without being squeezed in."""
         ...
 
-    def report(self, state: State) -> tuple[str, float | None]:
-        """Of a state that stands: what proves it, and the margin [g] where it is known."""
+    def report(self, state: State) -> Shown:
+        """Of a state that stands."""
         ...
 
     def moving(self, state: State) -> list[int]:
@@ -90,8 +104,8 @@ class ByForces:
             self._rests[key] = bool(state.held[block]) or self.states.rests(state, block)
         return self._rests[key]
 
-    def report(self, state: State) -> tuple[str, float | None]:
-        return self.proof, self._pushes.follow(state)
+    def report(self, state: State) -> Shown:
+        return Shown(self.proof, self._pushes.follow(state))
 
     def moving(self, state: State) -> list[int]:
         return self.states.moving(state)
@@ -148,7 +162,7 @@ class ByLoads:
     def rests(self, state: State, block: int) -> bool:
         return True  # Without friction nothing is squeezed.
 
-    def report(self, state: State) -> tuple[str, float | None]:
+    def report(self, state: State) -> Shown:
         """States come in the order in which they are built."""
         placed = self._placed(state)
         dirty = changed(self.stack, self._told, placed)
@@ -163,7 +177,7 @@ class ByLoads:
             self._rank = max(rank, self._rank)
             self._sideways.search(placed, self._upright.force, self.clock)
         self._told = placed
-        return method, self._sideways.radius
+        return Shown(method, self._sideways.radius)
 
     def moving(self, state: State) -> list[int]:
         return self.proof.held(self._placed(state), self.clock.left)
@@ -213,6 +227,7 @@ class ByStrength:
 
     def __init__(self, assembly: Assembly, balance: Balance, sides: bool) -> None:
         self.assembly, self.balance, self.sides = assembly, balance, sides
+        self.proof = CLUTCH_TIGHT if sides else CLUTCH
         self._scope, self._narrow = np.arange(len(assembly.blocks)), balance
         self._known: dict[tuple[bytes, Push | None], bool] = {}
 
@@ -226,8 +241,22 @@ class ByStrength:
     def rests(self, state: State, block: int) -> bool:
         return True  # Joints that hold squeeze nothing in.
 
-    def report(self, state: State) -> tuple[str, float | None]:
-        return CLUTCH_TIGHT if self.sides else CLUTCH, None
+    def report(self, state: State) -> Shown:
+        """Margins of few bricks alone: they take longer than the order of many."""
+        count = len(self.assembly.blocks)
+        g = self.margin_g(state) if count <= _FEW[0] else None
+        return Shown(self.proof, g, self.margin_n(state) if count <= _FEW[1] else None)
+
+    def margin_g(self, state: State) -> float:
+        """Sideways acceleration [g] in every direction that a state withstands that stands."""
+        balance, scope = self._program(state)
+        return balance.margin_g(state.present[scope], state.held[scope])
+
+    def margin_n(self, state: State) -> float | None:
+        """What a contact point can pull more than a state needs [N]."""
+        balance, scope = self._program(state)
+        need = balance.need(state.present[scope], state.held[scope])
+        return margin_n(need.share, reference(self.assembly))
 
     def moving(self, state: State) -> list[int]:
         return self.balance.holding(state.present, state.held).moving
@@ -235,8 +264,8 @@ class ByStrength:
     def falls(self, state: State) -> bool:
         return not self.stands(state)
 
-    def _asked(self, state: State, push: Push | None) -> bool:
-        """The answer of a program over not many more blocks than are there."""
+    def _program(self, state: State) -> tuple[Balance, np.ndarray]:
+        """A program over not many more blocks than are there, and int64[n] these blocks."""
         scope, present = self._scope, state.present
         few = len(scope) > _LARGE and present.sum() < _NARROW * len(scope)
         if few or present[scope].sum() != present.sum():
@@ -244,9 +273,13 @@ class ByStrength:
             blocks = tuple(self.assembly.blocks[k] for k in scope.tolist())
             some = replace(self.assembly, blocks=blocks)
             self._narrow = Balance(some, forces_of(some), self.sides)
+        return self._narrow, scope
+
+    def _asked(self, state: State, push: Push | None) -> bool:
+        balance, scope = self._program(state)
         if push is not None:
             push = push._replace(block=int(np.searchsorted(scope, push.block)))
-        return self._narrow.stands(present[scope], state.held[scope], push)
+        return balance.stands(state.present[scope], state.held[scope], push)
 
 
 class ByMortar:
@@ -272,10 +305,10 @@ class ByMortar:
         held = self._at_once or (state.cured is not None and bool(state.cured[block]))
         return held or self.dry.rests(state, block)
 
-    def report(self, state: State) -> tuple[str, float | None]:
+    def report(self, state: State) -> Shown:
         balance = self._of(state)
         assert balance is not None
-        return MORTAR, balance.margin_g(state.present, state.held)
+        return Shown(MORTAR, balance.margin_g(state.present, state.held))
 
     def moving(self, state: State) -> list[int]:
         balance = self._of(state)

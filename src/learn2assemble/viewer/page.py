@@ -407,7 +407,8 @@ def _note(step: Step, targets: Sequence[PlanTarget], leaning: bool) -> StepNote:
     if len(targets) > 1:
         shares = zip(targets, step.sides, strict=bool(step.sides))
         sides = [f"{target.name} {percent(share)}" for target, share in shares]
-    told = [where[:1].upper() + where[1:] if where else "", ", ".join(sides)]
+    spare = "" if step.margin_n is None else f"A contact point can pull {step.margin_n:.2g} N more"
+    told = [spare, where[:1].upper() + where[1:] if where else "", ", ".join(sides)]
     more = "; ".join(part for part in told if part)
     return StepNote(
         proof_words(step.proof or "", leaning), step.margin_g, step.coverage, more and f"{more}."

@@ -29,7 +29,7 @@ from learn2assemble.planning.tiling.candidates import BlockPlacement, placement_
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.tile import MORE_TIME, Tiling, owners
 from learn2assemble.progress import Progress, silent
-from learn2assemble.statics.laws import ByLoads, Law
+from learn2assemble.statics.laws import ByLoads, Law, Shown
 from learn2assemble.statics.proofs import (
     BED,
     FRICTIONLESS,
@@ -136,9 +136,10 @@ class Coupled:
     def rests(self, state: State, block: int) -> bool:
         return True  # What the coupled law balances is not squeezed in.
 
-    def report(self, state: State) -> tuple[str, float | None]:
+    def report(self, state: State) -> Shown:
         assert self.stands(state)
-        return self.law, min(self._known[state.present.tobytes()] or 0.0, self.friction[0])
+        known = self._known[state.present.tobytes()] or 0.0
+        return Shown(self.law, min(known, self.friction[0]))
 
     def moving(self, state: State) -> list[int]:
         return []
