@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import subprocess
 import sys
@@ -12,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"
-WORDS = {"train": ["40"], "own_network": ["200"], "maskable_ppo": ["64"], "evaluate": ["2"]}
+WORDS = {"train": ["40"], "own_network": ["200"], "evaluate": ["2"]}
 """Arguments that make an example small."""
 SLOW = {"build_with_arm"}
 
@@ -25,8 +24,6 @@ SLOW = {"build_with_arm"}
     ],
 )
 def test_example_runs(name: str, tmp_path: Path) -> None:
-    if name == "maskable_ppo" and importlib.util.find_spec("sb3_contrib") is None:
-        pytest.skip("sb3-contrib is not installed")
     done = subprocess.run(
         [sys.executable, str(EXAMPLES / f"{name}.py"), *WORDS.get(name, [])],
         cwd=tmp_path,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from l2a_lab.bounds import open_cells, return_bound
+from learn2assemble.tasks.evaluation.bounds import open_cells, return_bound
 from learn2assemble.tasks.evaluation.episodes import run_episodes
 from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.task import get_task

@@ -16,7 +16,7 @@ other belong to the same or to neighbouring places, so a place none of whose nei
 a detour of three blocks or more; it may be used for the price of three steps, paid once. Where
 there are too many structures, :func:`tower_bound` takes the place of the sweep.
 
-**Quick**: cubes on any number of sides, see :func:`return_bound`.
+**Quick**: cubes on any number of sides, see :mod:`learn2assemble.tasks.evaluation.bounds`.
 
 **Packing**: objects of several cells, scaled reward, see :mod:`l2a_lab.object_bounds`.
 """
@@ -30,10 +30,15 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from l2a_lab.builder.tasks import MAX_COLUMN, NUM_LEVELS, cell_pixels
 from l2a_lab.object_bounds import object_return_bound
 from learn2assemble.constants import EDGE
 from learn2assemble.errors import InputError
+from learn2assemble.tasks.evaluation.bounds import (
+    MAX_COLUMN,
+    NUM_LEVELS,
+    cell_pixels,
+    return_bound,
+)
 from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.task import Task
 from learn2assemble.tasks.world.coverage import ROWS, WORDS
@@ -92,27 +97,6 @@ def tower_pixels() -> np.ndarray:
 
 
 # ---------------------------------------------------------------- cubes
-
-
-def open_cells(state: State) -> np.ndarray:
-    """k of every row: cells of the face planes that show mask pixels not yet covered, int64[B]."""
-    open_pixels = state.mask & ~state.covered
-    cells = cell_pixels()
-    counts = np.zeros(state.batch_size, np.int64)
-    for side in range(open_pixels.shape[1]):
-        # Looped over rows: the table of all cells times all rows would not fit in memory.
-        for row, pixels in enumerate(open_pixels[:, side]):
-            counts[row] += int(((cells & pixels) != 0).any((-1, -2)).sum())
-    return counts
-
-
-def return_bound(state: State, discount: float) -> np.ndarray:
-    """Upper bound on the discounted return from fresh states, float64[B] (discrete reward).
-
-    A step is worth 1 when the plane-filtered cover grows, and a cell of the face planes can make
-    it grow only once: with k :func:`open_cells`, ``R <= 1 + gamma + ... + gamma^(k-1)``.
-    """
-    return (1 - discount ** open_cells(state)) / (1 - discount)
 
 
 class Towers(NamedTuple):

@@ -32,9 +32,9 @@ from typing import NamedTuple
 import highspy
 import numpy as np
 
-from l2a_lab.builder.tasks import MAX_COLUMN, NUM_LEVELS
 from learn2assemble.constants import EDGE, HALF
 from learn2assemble.errors import Learn2AssembleError
+from learn2assemble.tasks.evaluation.bounds import MAX_COLUMN, NUM_LEVELS
 from learn2assemble.tasks.world.coverage import ROWS, WORDS, add_box, to_pixels
 from learn2assemble.tasks.world.layouts import to_world
 from learn2assemble.tasks.world.rules import SCALED_GAIN

@@ -1,4 +1,5 @@
-"""The commands of the wing of the paper: train, eval, tasks; and bench, which measures both."""
+"""The commands of the wing of the paper: train, eval, benchmark, tasks; and bench, which measures
+both wings."""
 
 from __future__ import annotations
 
@@ -196,6 +197,62 @@ def _bench(options: argparse.Namespace, output: Output) -> None:
     rows = [(k, f"{v:,.3g}" if v < 10 else f"{v:,.1f}") for k, v in results.items()]
     output.table("speed", ("measurement", "value"), rows)
     output.finish({**results, "seconds": options.seconds, **machine()})
+
+
+# ---------------------------------------------------------------- benchmark
+
+
+@command(
+    COMMANDS,
+    "benchmark",
+    "enter the benchmark: play it, check a file by playing it again, show the board",
+    "l2a benchmark run out/random.jsonl.gz --policy random --problems 2",
+    arg("action", choices=("run", "check", "board"), help="run writes one file; the others read"),
+    arg("files", nargs="+", type=named, metavar="FILE", help="NAME.jsonl.gz"),
+    arg("--policy", default=None, help="random, look-ahead, shipped, module:name or file.py:name"),
+    arg("--server", default=None, metavar="HOST:PORT", help="a policy in another process"),
+    arg("--name", default=None, help="of the entry (the policy's)"),
+    arg("--task", dest="tasks", action="append", help="of the suite, may be repeated (all)"),
+    arg("--problems", type=count, default=None, help="the first so many of every task (all)"),
+    learns=True,
+)
+def _benchmark(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.envs import submission as entries
+
+    if options.action == "run":
+        return _enter(options, output)
+    for name in ("policy", "server", "name", "tasks", "problems"):
+        if (given := getattr(options, name)) is not None:
+            flag = "--task" if name == "tasks" else f"--{name}"
+            raise InputError(flag, given, "nothing, but with run")
+    read = entries.check if options.action == "check" else entries.read_submission
+    found = [read(file) for file in options.files]
+    output.say(entries.board(found).rstrip())
+    output.finish({"action": options.action, "entries": [entries.summary(one) for one in found]})
+
+
+def _enter(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.envs import submission as entries
+    from learn2assemble.envs.policies import RemoteChoice, load_policy
+    from learn2assemble.envs.suite import SUITE
+
+    if len(options.files) != 1:
+        raise InputError("FILE", [str(file) for file in options.files], "one file to write")
+    if (options.policy is None) == (options.server is None):
+        raise InputError("--policy or --server", "both or none of them", "one of them")
+    entries.check_path(options.files[0])
+    check_new_file(options.files[0])
+    policy = RemoteChoice(options.server) if options.server else load_policy(options.policy)
+    found = entries.enter(
+        policy,
+        options.name or (options.policy or "server").rpartition(":")[2],
+        tasks=tuple(options.tasks or SUITE),
+        problems=options.problems,
+        progress=output.progress,
+    )
+    found.write(options.files[0])
+    output.say(entries.board([found]).rstrip())
+    output.finish({"action": "run", "entries": [entries.summary(found)]})
 
 
 @command(COMMANDS, "tasks", "list the tasks and their agents", "l2a tasks", learns=True)

@@ -25,7 +25,7 @@ from learn2assemble.tasks.task import (
     GoalTask,
 )
 
-_MOST, _BLOCK_COST = 100.0, 0.05
+_MOST, BLOCK_COST = 100.0, 0.05
 """No feature is larger; what every block of a structure for goals costs."""
 
 
@@ -216,7 +216,7 @@ class GoalsEnv(_CandidateEnv):
         self._relaxed = relax(self.problem, grown, self._relaxed.price)
         if np.isfinite(self._relaxed.blocks):
             reward = (before - self._relaxed.blocks) / self._start
-        return True, reward + (self._success(grown) - _BLOCK_COST)
+        return True, reward + (self._success(grown) - BLOCK_COST)
 
     def _success(self, world: LatticeWorld) -> bool:
         return self._relaxed.blocks == 0 and bears(self.problem, world)

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections import Counter, OrderedDict
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -26,11 +25,11 @@ from learn2assemble.constants import EDGE, HALF
 from learn2assemble.errors import InputError
 from learn2assemble.planning.tiling.world import LatticeSite, LatticeWorld, make_site
 from learn2assemble.tasks.design_features import describe
+from learn2assemble.tasks.evaluation.bounds import MAX_COLUMN, NUM_LEVELS, cell_pixels
 from learn2assemble.tasks.graph.features import node_offset
 from learn2assemble.tasks.graph.placements import distinct_placements
 from learn2assemble.tasks.search.tree import ActionValues
 from learn2assemble.tasks.simulator import Simulator
-from learn2assemble.tasks.world.coverage import NARROW, ROWS, WORDS, add_box, clear_to_ground
 from learn2assemble.tasks.world.layouts import to_world
 from learn2assemble.tasks.world.rules import recover_all
 from learn2assemble.tasks.world.state import State
@@ -38,31 +37,8 @@ from learn2assemble.tasks.world_model import WorldModel
 
 PREFERENCE = 1e-3
 """What a logit is worth beside rewards: it decides between placements that pay the same."""
-MAX_COLUMN, NUM_LEVELS = 7, 12
-"""Columns of cells on a side run from -MAX_COLUMN to MAX_COLUMN, levels from 0 to NUM_LEVELS - 1;
-their faces are inside the view."""
 _KEPT = 256
 """Problems kept in memory."""
-
-
-@lru_cache(maxsize=1)
-def cell_pixels() -> np.ndarray:
-    """Pixels each cell in the face plane of a side fills that the table does not, by the complete
-    filter: ``uint64[2 MAX_COLUMN + 1, NUM_LEVELS, ROWS, WORDS]``, read-only.
-
-    Index ``k + MAX_COLUMN`` is column ``k``, at local ``x = EDGE k``. Two neighbouring cells may
-    both fill a pixel that sees their common edge.
-    """
-    table, unused = np.zeros((2, ROWS, WORDS), np.uint64)
-    clear_to_ground(table, unused, NARROW)
-    cells = np.zeros((2 * MAX_COLUMN + 1, NUM_LEVELS, ROWS, WORDS), np.uint64)
-    for index in range(len(cells)):
-        for level in range(NUM_LEVELS):
-            x, z = EDGE * (index - MAX_COLUMN), HALF + EDGE * level
-            add_box(cells[index, level], unused, x, 0.0, z, HALF)
-    cells &= ~table
-    cells.setflags(write=False)
-    return cells
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,356 @@
+"""The benchmark: what counts as an entry, what is refused, and policies from elsewhere."""
+
+from __future__ import annotations
+
+import gzip
+import importlib.util
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+from learn2assemble.cli import main
+from learn2assemble.envs.policies import Lookahead, RandomChoice, RemoteChoice, load_policy
+from learn2assemble.envs.submission import (
+    Submission,
+    _digest,
+    _line,
+    board,
+    check,
+    enter,
+    read_submission,
+)
+from learn2assemble.envs.suite import SUITE, SUITE_VERSION, SuiteTask
+from learn2assemble.errors import InputError
+from learn2assemble.tasks.evaluation.bounds import quick_bound
+from learn2assemble.tasks.evaluation.episodes import (
+    episode_generators,
+    lookahead_policy,
+    play_episodes,
+)
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import get_task
+
+ROOT = Path(__file__).resolve().parents[1]
+OUTSIDERS = ROOT / "examples" / "benchmark"
+SMALL, ROBOT = "two-sided-3x3-20-24", "robot-two-sided-3x3-10-14"
+FEW = [SMALL, "goals-cantilever"]
+PINNED = (4, 2, 0.3259584392866976, -0.18480396882046576)
+"""Actions and scores of the first two problems of :data:`SMALL`, played at random."""
+
+
+@pytest.fixture(scope="module")
+def entry() -> Submission:
+    return enter(RandomChoice(), "random", tasks=FEW, problems=2)
+
+
+@pytest.fixture
+def file(entry: Submission, tmp_path: Path) -> Path:
+    path = tmp_path / "random.jsonl.gz"
+    entry.write(path)
+    return path
+
+
+def rewrite(path: Path, change, *, forge: bool = True) -> None:
+    """Change the lines of a file, with a hash that fits them again."""
+    lines = [json.loads(line) for line in gzip.decompress(path.read_bytes()).splitlines()]
+    change(lines)
+    if forge:
+        del lines[0]["sha256"]
+        lines[0]["sha256"] = _digest([_line(line) for line in lines])
+    path.write_bytes(gzip.compress("".join(_line(line) + "\n" for line in lines).encode()))
+
+
+# ---------------------------------------------------------------- the suite
+
+
+@pytest.mark.parametrize("name", SUITE)
+def test_every_task_is_played_within_its_bound(name: str) -> None:
+    task = SuiteTask(name)
+    env = task.make()
+    done = task.play(env, 0, RandomChoice())
+    assert done.actions
+    assert -1 <= done.score <= 1
+    if not name.startswith("designs-"):  # These take seconds.
+        assert done == task.play(env, 0, RandomChoice())
+        assert done == task.play(task.make(), 0, RandomChoice())
+
+
+def test_a_change_of_the_suite_is_a_new_version(entry: Submission) -> None:
+    """What version 1 means: tasks, problems and scores. Where this fails raise the version."""
+    assert SUITE_VERSION == 1
+    first, second = (entry.played[k] for k in (-2, -1))
+    assert (first.task, len(first.actions), len(second.actions)) == (SMALL, *PINNED[:2])
+    assert [first.score, second.score] == pytest.approx(PINNED[2:], abs=1e-9)
+
+
+@pytest.mark.parametrize("name", [SMALL, "four-sided-3x3-10-18", ROBOT])
+def test_no_return_exceeds_the_bound(name: str) -> None:
+    """Of look-ahead that is random now and then; where blocks touch the bound can be reached."""
+    task = get_task(name)
+    simulator, count = Simulator(task), 10 if task.has_arm else 50
+    bound = quick_bound(task, simulator.new(count, episode_generators(0)[0]))
+    returns = play_episodes(simulator, lookahead_policy(task, 0.1), count, 0).returns
+    assert (returns <= bound + 1e-9).all()
+    assert (returns / bound).max() > (0.6 if task.has_arm else 0.99)
+
+
+def test_a_bound_is_only_for_cubes() -> None:
+    simulator = Simulator("objects-two-sided-5x5-20-24")
+    with pytest.raises(InputError, match="cubes"):
+        quick_bound(simulator.task, simulator.new(1, np.random.default_rng(0)))
+
+
+def test_tasks_and_problems_that_are_not_there_are_named() -> None:
+    with pytest.raises(InputError, match="did you mean 'goals-bridge'"):
+        SuiteTask("goals-bridges")
+    with pytest.raises(InputError, match="0 to 49"):
+        SuiteTask(SMALL).seed(50)
+    seeds = {SuiteTask(SMALL).seed(n) for n in range(50)}
+    assert len(seeds) == 50
+
+
+# ---------------------------------------------------------------- files
+
+
+def test_a_file_is_what_was_played(entry: Submission, file: Path, tmp_path: Path) -> None:
+    assert read_submission(file) == check(file) == entry
+    enter(RandomChoice(), "random", tasks=FEW[::-1], problems=2).write(tmp_path / "b.jsonl.gz")
+    assert (tmp_path / "b.jsonl.gz").read_bytes() == file.read_bytes()
+
+
+def raise_score(lines: list[dict]) -> None:
+    lines[2]["score"] += 1e-6
+
+
+def other_action(lines: list[dict]) -> None:
+    lines[2]["actions"][0] = (lines[2]["actions"][0] + 1) % 5
+
+
+def action_more(lines: list[dict]) -> None:
+    lines[2]["actions"].append(0)
+
+
+def action_less(lines: list[dict]) -> None:
+    lines[2]["actions"].pop()
+
+
+def claim_success(lines: list[dict]) -> None:
+    lines[2]["success"] = not lines[2]["success"]
+
+
+def leave_out(lines: list[dict]) -> None:
+    del lines[2]
+
+
+def twice(lines: list[dict]) -> None:
+    lines.append(lines[2])
+
+
+def other_suite(lines: list[dict]) -> None:
+    lines[0]["suite"] += 1
+
+
+def foreign_task(lines: list[dict]) -> None:
+    lines[1]["task"] = "two-sided-9x9"
+
+
+def no_action(lines: list[dict]) -> None:
+    lines[2]["actions"][0] = 10**6
+
+
+def bad_name(lines: list[dict]) -> None:
+    lines[0]["entry"] = "a | b"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        raise_score,
+        other_action,
+        action_more,
+        action_less,
+        claim_success,
+        leave_out,
+        twice,
+        other_suite,
+        foreign_task,
+        no_action,
+        bad_name,
+    ],
+)
+def test_a_file_that_was_tampered_with_is_refused(
+    change, file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rewrite(file, change)
+    assert main(["benchmark", "check", str(file)]) == 2
+    said = capsys.readouterr()
+    assert not said.out
+    assert len([line for line in said.err.splitlines() if "as said" not in line]) == 1
+
+
+def test_the_hash_is_looked_at_without_playing(file: Path) -> None:
+    rewrite(file, raise_score, forge=False)
+    with pytest.raises(InputError, match="the file was changed"):
+        read_submission(file)
+
+
+@pytest.mark.parametrize("content", [b"", b"nonsense", gzip.compress(b"[]\n"), gzip.compress(b"")])
+def test_a_file_that_is_none_is_refused(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "x.jsonl.gz"
+    path.write_bytes(content)
+    with pytest.raises(InputError):
+        read_submission(path)
+
+
+def test_the_board_has_the_best_first(entry: Submission) -> None:
+    other = enter(Lookahead(), "look-ahead", tasks=[SMALL], problems=2)
+    rows = board([entry, other]).splitlines()
+    assert rows[0].startswith("| entry | knows | `two-sided-3x3-20-24` | ")
+    assert rows[0].count("|") == 9
+    assert rows[2].startswith("| look-ahead | model | ")
+    assert rows[2].endswith(" (2) | – | – | – | – | – |")
+    assert rows[3].startswith("| random | observation | ")
+    assert f"{entry.scores(SMALL).mean():.3f} ±" in rows[3]
+
+
+def test_the_board_of_the_documents_is_that_of_its_files() -> None:
+    files = sorted((ROOT / "results" / "benchmark").glob("*.jsonl.gz"))
+    assert len(files) >= 5
+    page = (ROOT / "docs" / "benchmark.md").read_text(encoding="utf-8")
+    assert board([read_submission(file) for file in files]) in page
+
+
+def test_the_entries_of_placements_play_as_they_say() -> None:
+    check(ROOT / "results" / "benchmark" / "look-ahead.jsonl.gz")
+
+
+# ---------------------------------------------------------------- policies
+
+
+def test_the_command_enters_a_policy_of_a_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "heuristic.jsonl.gz"
+    policy = f"{OUTSIDERS / 'lowest_largest.py'}:choose"
+    where = ["--policy", policy, "--name", "lowest-largest", "--problems", "1"]
+    where += [word for task in FEW for word in ("--task", task)]
+    assert main(["benchmark", "run", str(file), *where, "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)["entries"][0]["tasks"]
+    assert set(said) == set(FEW)
+    assert check(file).entry == "lowest-largest"
+    assert main(["benchmark", "board", str(file)]) == 0
+    assert "| lowest-largest | observation |" in capsys.readouterr().out
+
+
+def test_a_policy_in_another_process_plays_as_one_here(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, str(OUTSIDERS / "server.py"), "0"], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        port = process.stdout.readline().split()[-1]
+        remote = RemoteChoice(f"127.0.0.1:{port}")
+        there = enter(remote, "server", tasks=FEW, problems=2)
+        remote.close()
+        assert process.wait(10) == 0
+
+    def first(observation, info) -> int:
+        mask = info.get("physics_mask", info["action_masks"])
+        return int(np.flatnonzero(mask if mask.any() else info["action_masks"])[0])
+
+    assert there == enter(first, "server", tasks=FEW, problems=2)
+
+
+@pytest.mark.parametrize("answer", [b"nonsense\n", b"{}\n", b'{"action": "a"}\n', b"7\n", b""])
+def test_an_answer_that_makes_no_sense_is_refused(answer: bytes) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def reply() -> None:
+            connection, _ = server.accept()
+            with connection, connection.makefile("rb") as lines:
+                lines.readline()
+                connection.sendall(answer)
+
+        thread = threading.Thread(target=reply)
+        thread.start()
+        remote = RemoteChoice(f"127.0.0.1:{server.getsockname()[1]}")
+        with pytest.raises(InputError, match="action"):
+            enter(remote, "server", tasks=[SMALL], problems=1)
+        remote.close()
+        thread.join()
+
+
+@pytest.mark.parametrize("address", ["10.0.0.1:80", "example.org:80", "127.0.0.1", "127.0.0.1:x"])
+def test_only_this_machine_is_asked(address: str) -> None:
+    with pytest.raises(InputError, match="this machine"):
+        RemoteChoice(address)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["run", "out.jsonl.gz"],
+        ["run", "out.jsonl.gz", "--policy", "randon"],
+        ["run", "out.jsonl.gz", "--policy", "nowhere.py:x"],
+        ["run", "out.jsonl.gz", "--policy", "json:nothing"],
+        ["run", "out.jsonl.gz", "--policy", "random", "--task", "two-sided"],
+        ["run", "out.jsonl.gz", "--policy", "random", "--name", "a|b"],
+        ["run", "out.json", "--policy", "random"],
+        ["run", "a.jsonl.gz", "b.jsonl.gz", "--policy", "random"],
+        ["run", "out.jsonl.gz", "--server", "127.0.0.1:1"],
+        ["run", "out.jsonl.gz", "--policy", "look-ahead", "--task", "goals-bridge"],
+        ["check", "nowhere.jsonl.gz"],
+        ["board", "nowhere.jsonl.gz"],
+        ["board", "nowhere.jsonl.gz", "--policy", "random"],
+    ],
+)
+def test_a_wrong_call_is_one_line(
+    words: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["benchmark", *words]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_classes_are_made_and_other_names_called() -> None:
+    assert isinstance(load_policy("learn2assemble.envs.policies:RandomChoice"), RandomChoice)
+    assert load_policy("json:loads") is json.loads
+
+
+def test_a_choice_that_is_no_number_is_refused() -> None:
+    with pytest.raises(InputError, match="action of the policy"):
+        enter(lambda observation, info: "a", "x", tasks=[SMALL], problems=1)  # pyright: ignore
+
+
+def test_a_policy_that_never_ends_is_asked_no_more() -> None:
+    """Goals end only when nothing is offered, and this always asks for what is not."""
+    env = SuiteTask("goals-bridge").make()
+    assert isinstance(env.action_space, gymnasium.spaces.Discrete)
+    never = int(env.action_space.n) - 1
+    assert len(SuiteTask("goals-bridge").play(env, 0, lambda *_: never).actions) == 2000
+
+
+@pytest.mark.skipif(importlib.util.find_spec("sb3_contrib") is None, reason="no sb3-contrib")
+def test_another_library_enters(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, str(OUTSIDERS / "maskable_ppo.py"), "ppo.jsonl.gz", "64"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert len(check(tmp_path / "ppo.jsonl.gz").played) == 20
