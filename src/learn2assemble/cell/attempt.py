@@ -16,7 +16,7 @@ from learn2assemble.motion.recorder import StepMotion
 from learn2assemble.robot.approach import approach_path, tool_path
 from learn2assemble.robot.moves import Move, Outcome, turned, turns
 from learn2assemble.simulation.cell import DynamicCell
-from learn2assemble.simulation.execution import BLIND, LOADED, Execution, Rig, abandon
+from learn2assemble.simulation.execution import BLIND, LOADED, LOOSE, Execution, Rig, abandon
 from learn2assemble.simulation.model import (
     Failure,
     Order,
@@ -38,6 +38,26 @@ REST = 0.5
 """Blocks that were disturbed are left alone for so long before it is looked where they are [s]."""
 OPENING_TIME = 0.5
 """In which a hand lets go of what it could put back nowhere [s]."""
+
+
+UNCERTAIN, CERTAIN = LOOSE, 0.001
+"""How near to a place a block may meet what carries it, at most, and where that is known well
+[m]."""
+SPREADS = 4.0
+"""What carries it is within so many standard deviations of where it is believed to be."""
+
+
+class Ahead(NamedTuple):
+    """What an attempt is told of the rest of the build."""
+
+    following: np.ndarray | None = None
+    """float64[3] from the top of the block to where the top of the next one will be [m]: the arm
+    waits above that; None: at home."""
+    height: float = UNCERTAIN
+    """Standard deviation of the height of what carries the block in its place [m]."""
+
+
+NOTHING_AHEAD = Ahead()
 
 
 class Came(NamedTuple):
@@ -143,7 +163,14 @@ class Attempts:
         self.planner = DynamicCell(job.arm, recover=True) if careful else None
         """Has the models in which ways are planned, and the limits."""
 
-    def carry_out(self, rows: Rows, move: Move, k: int, joints: np.ndarray) -> Came:
+    def carry_out(
+        self,
+        rows: Rows,
+        move: Move,
+        k: int,
+        joints: np.ndarray,
+        ahead: Ahead = NOTHING_AHEAD,
+    ) -> Came:
         """Carry a move out.
 
         Args:
@@ -151,6 +178,7 @@ class Attempts:
             move: the order.
             k: the piece that is moved.
             joints: float64[n] where the arm is [rad].
+            ahead: what is known of the rest of the build.
 
         Raises:
             PlantError: where the plant answers nonsense, or not at all.
@@ -158,7 +186,7 @@ class Attempts:
         order = take_order(rows.scene, move)
         try:
             require_held(self.job.arm, rows.scene, move)
-            course, world = self._course(order, joints)
+            course, world = self._course(order, joints, ahead.following)
         except Failure as failure:
             return Came(failure.outcome, failure.stage, failure.detail, joints)
         senses = AttemptSenses(self.sight, order, rows, k)
@@ -166,7 +194,8 @@ class Attempts:
         limits = arm.bounds.scaled(0.8), arm.bounds.scaled(0.6)
         if self.planner is not None:
             limits = self.planner.limits, self.planner.loaded
-        rig = Rig(self.plant, senses, arm, world, *limits, guarded=True)
+        guarded = min(CERTAIN + SPREADS * ahead.height, UNCERTAIN)
+        rig = Rig(self.plant, senses, arm, world, *limits, guarded=guarded)
         run = senses.run = Execution(rig, order, course, joints)
         failure = None
         try:
@@ -191,12 +220,14 @@ class Attempts:
         self.sight.dropped()
         run.wait(REST, "release", BLIND)
 
-    def _course(self, order: Order, joints: np.ndarray) -> tuple[Course, SimulatedWorld | None]:
+    def _course(
+        self, order: Order, joints: np.ndarray, following: np.ndarray | None
+    ) -> tuple[Course, SimulatedWorld | None]:
         """The ways of an attempt, and the model they were planned in."""
         if self.planner is not None:
             world = self.planner.world(order.objects, order.scene.studs)
             lean_table(world.plan, order.scene.table)
-            return prepare(self.job.arm, world, order, joints, True), world
+            return prepare(self.job.arm, world, order, joints, True, following), world
         return straight(self, order, joints), None
 
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learn2assemble.cell.arrange import Arranged, Structure, describe
-from learn2assemble.cell.attempt import Attempts, Came
+from learn2assemble.cell.attempt import UNCERTAIN, Ahead, Attempts, Came
 from learn2assemble.cell.journal import Recording, append_state, packed, read_states
 from learn2assemble.cell.sight import Sight
 from learn2assemble.cell.state import Action, Choice, Done
@@ -29,6 +29,7 @@ from learn2assemble.cell.world import (
     moves,
     named,
     rows_of,
+    supply_of,
 )
 from learn2assemble.motion.checked import Checked
 from learn2assemble.motion.plant import Plant, PlantError, Request, Stop, standing
@@ -185,7 +186,12 @@ class Building:
         rows = rows._replace(scene=rows.scene._replace(studs=studs))
         lost: PlantError | None = None
         try:
-            came = self.attempts.carry_out(rows, move, k, self.joints)
+            following = None
+            if presented and action.source is not None:
+                following = self._following(k, action.source)
+            height = self.known.height(k) if placing else UNCERTAIN
+            ahead = Ahead(following, height)
+            came = self.attempts.carry_out(rows, move, k, self.joints, ahead)
         except PlantError as error:
             lost, came = error, self._interrupted(rows, move, k, error)
         self._come_home(action, rows, came.reached and placing)
@@ -219,6 +225,24 @@ class Building:
         if lost is not None:
             raise lost
         return True
+
+    def _following(self, k: int, source: int) -> np.ndarray | None:
+        """float64[3]: from the top of a block that waits at a source to where the top of the next
+        one will be [m]; None where the arm does not fetch another one next, or somebody comes
+        near before."""
+        left = (s for s in self.known.order if s.block != k and not self.known.satisfied(s))
+        step = next(left, None)
+        if step is None or step.remove or step.group or step in self.known.by_hand:
+            return None
+        world, sources = self.world, supply_of(self.world, step.block)
+        if not sources or world.state[step.block] != STOCK:
+            return None
+        here, there = (world.job.sources[n].pose for n in (source, sources[0]))
+        top, other = (
+            float(one.corners(one.waits)[:, 2].max())
+            for one in (world.pieces[k], world.pieces[step.block])
+        )
+        return np.array([there[0] - here[0], there[1] - here[1], max(other - top, 0.0)])
 
     def _interrupted(self, rows: Rows, move: Move, k: int, error: PlantError) -> Came:
         """What came of an attempt that the plant has ended, as far as it is known: what was in the
@@ -483,6 +507,7 @@ class Building:
         world = self.world
         state = {
             "pose": world.pose.tolist(),
+            "spread": world.spread.tolist(),
             "state": world.state,
             "used": world.used,
             "source": world.source,
@@ -508,7 +533,7 @@ class Building:
             world.add(piece)
         world.names[:] = last["names"]
         self.names.update(world.names)
-        world.pose = np.array(last["pose"])
+        world.pose, world.spread = np.array(last["pose"]), np.array(last["spread"])
         world.state, world.used, world.source = last["state"], last["used"], last["source"]
         if self.kept is not None and "plant" in last:
             self.kept.restore(last["plant"])

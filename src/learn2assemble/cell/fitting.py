@@ -38,6 +38,8 @@ SHARP, SHARP_TURN = 2e-5, 3e-4
 """Nothing is known better than by these standard deviations [m], [rad]."""
 TABLE, LEAN = 2e-3, math.radians(0.5)
 """By which a table may be off: standard deviations [m], [rad]."""
+SIZE = 3e-4
+"""By which the height of a block may be off: standard deviation [m]."""
 CERTAIN = 16.3
 """Chi-square distance of three numbers from 0 that chance exceeds once in a thousand times."""
 ROUNDS = 40
@@ -123,24 +125,50 @@ class Fitting:
         """float64[3]: how the table is, as blocks that stand on it say: its height at the origin
         [m] and by how much it leans about x and y [rad]; zeros, as long as they may just as well
         say that it is as it should be."""
+        found, known = self._table(standing)
+        return found if found @ known @ found > CERTAIN else np.zeros(3)
+
+    def _table(self, standing: Collection[int]) -> tuple[np.ndarray, np.ndarray]:
+        """The table as :meth:`table` has it, but where nothing says so, too, and the inverse of the
+        covariance of that, float64[3, 3]."""
         world, known = self.world, np.diag([TABLE**-2, LEAN**-2, LEAN**-2])
         seen, before = np.zeros(3), world.table
         world.table = np.zeros(3)
         for k in sorted(standing):
-            if abs(float(world.job.pieces[k].extent[0][2])) > ON_FACE or world.beside[k].any():
+            if not self._on_table(k):
                 continue
             meant, (place, turn) = world.target(k), world.spread[k]
             off = self._step(k, meant)
-            x, y = meant[:2]
-            height, size = np.array([1.0, y, -x]), max(float(place), SHARP)
+            height, size = _height(meant), max(float(place), SHARP)
             known += np.outer(height, height) / size**2
             seen += height * off[2] / size**2
             size = max(float(turn), SHARP_TURN)
             known[[1, 2], [1, 2]] += 1 / size**2
             seen[1:] += off[3:5] / size**2
-        found = np.linalg.solve(known, seen)
         world.table = before
-        return found if found @ known @ found > CERTAIN else np.zeros(3)
+        return np.linalg.solve(known, seen), known
+
+    def _on_table(self, k: int) -> bool:
+        low = self.world.job.pieces[k].extent[0][2]
+        return abs(float(low)) <= ON_FACE and not self.world.beside[k].any()
+
+    def height(self, k: int, standing: Collection[int]) -> float:
+        """Standard deviation of the height of what carries a block in its place [m].
+
+        Args:
+            standing: pieces in the structure, without the block itself.
+        """
+        below = [
+            float(self.world.spread[near.other, 0])
+            for near in self.near(k)
+            if near.other in standing and near.way[2] < -LEANING
+        ]
+        if not below and not self._on_table(k):
+            return TABLE
+        if not below:
+            height = _height(self.world.target(k))
+            below = [math.sqrt(height @ np.linalg.solve(self._table(standing)[1], height))]
+        return math.hypot(max(below), SIZE)
 
     def tight(self, k: int, standing: Collection[int]) -> list[int]:
         """Neighbours that leave a block less room than it needs, the nearest one first."""
@@ -208,6 +236,11 @@ class Fitting:
             rows.append(ahead.ravel() / size)
             room.append((gap - world.job.joint / 2 - OPEN * sharp) / size)
         return _least(np.array(rows), np.array(room))[:3]
+
+
+def _height(place: np.ndarray) -> np.ndarray:
+    """float64[3]: how the height of the table at a place float64[3+] [m] depends on it."""
+    return np.array([1.0, place[1], -place[0]])
 
 
 def _least(rows: np.ndarray, room: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ from learn2assemble.motion.record import BuildRecord, ByHand, Samples, Stage, St
 from learn2assemble.motion.recorder import BuildRecorder, CellShapes
 from learn2assemble.robot.moves import Outcome
 
-FORMAT, VERSION = "learn2assemble-build", 4
+FORMAT, VERSION = "learn2assemble-build", 5
 SUM = "checksum"
 """Key of every state: the CRC-32 of the rest, so that damage is seen whatever it hits."""
 

@@ -345,6 +345,10 @@ class Choice:
         world.beside[taken] = beside
         return goal
 
+    def height(self, k: int) -> float:
+        """Standard deviation of the height of what carries a block in its place [m]."""
+        return self.fitting.height(k, self.standing() & self._together(k) - {k})
+
 
 def area(piece: Piece, pose: np.ndarray) -> Any:
     """Hull of what lies below a block, wherever it lies and however it is turned [m].

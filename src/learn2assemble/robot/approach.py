@@ -143,6 +143,11 @@ class ApproachPath(NamedTuple):
     rise: np.ndarray
     """float64[k]: way of the tool from the contact [m]."""
 
+    def upto(self, rise: float) -> ApproachPath:
+        """The part of it up to about this height [m], with the knot that is nearest to it."""
+        count = int(np.searchsorted(self.rise, rise + SPACING / 2))
+        return ApproachPath(self.joints[:count], self.rise[:count])
+
 
 SLACK = (1e-3, 0.01, 0.03)
 """Approach paths keep one of these distances from the joint limits [rad], the first with which the

@@ -65,8 +65,8 @@ SOFT = 0.01
 SOFT_SPEED = 0.02
 """... at this speed of the tool [m/s]."""
 GUARDED_SPEED = 0.01
-"""... and, where that is guarded, within :data:`LOOSE` of its place at this one [m/s], so that it
-meets what is there with less than :data:`PRESSED`."""
+"""... and, where that is guarded, as near to its place as that is uncertain at this one [m/s], so
+that it meets what is there with less than :data:`PRESSED`."""
 GENTLE, MOST_SLOWER = 0.7, 6
 """What hangs from a cup is moved so that it loads it with no more than this share of what it holds;
 how often it is slowed down for that, if need be."""
@@ -80,13 +80,16 @@ PRESS_NEAR, PRESS_SPEED = 0.001, 0.005
 SLOT_SPEED = 0.1
 """So slowly it goes into a slot between others, and out of it [m/s]: faster, it strays by more than
 the joints leave."""
+NEAR_BY, LEDGE = 0.005, 0.001
+"""What stands nearer than this beside the way of an object [m] is slid along, where it is higher
+than the bottom of that by more than this [m]."""
 LANDED = 1.0
 """What rests presses so hard on others [N]: as much as a block weighs."""
 PRESSED = 20.0
 """What is set down never presses harder on anything [N]."""
 GRIP_TIME = 0.2
 """The tool has taken hold within this time after it was told to [s]."""
-CALM_TIME = 0.1
+CALM_TIME = 0.05
 """The hand stands still so long before it is looked where a box of given size sits in it [s]."""
 ELSEWHERE = 0.03
 """What is seen so far from where it should be in the hand is not what the hand holds [m]."""
@@ -149,9 +152,9 @@ class Rig:
     """Of the joints while the hand is empty, ..."""
     loaded: Limits
     """... and while it holds something."""
-    guarded: bool = False
-    """Whether an object that meets nothing where it shall stand goes back instead of being let
-    go."""
+    guarded: float = 0.0
+    """So near to where an object shall stand it may meet what carries it [m], and if it meets
+    nothing there, it goes back instead of being let go; 0: it is let go there, whatever it met."""
 
 
 class Execution:
@@ -258,6 +261,10 @@ class Execution:
         """Stand still, while the tool does what it is told."""
         return self.do(standing(stage, self.joints, seconds), (guard,), commands)
 
+    def bounds(self, path: JointPath, limits: Limits) -> PathLimits:
+        """How fast along a path; builds are carried out as fast as that can be."""
+        return limits_along(path, limits, quickest=self.rig.guarded > 0)
+
     def tool(self) -> tuple[np.ndarray, np.ndarray]:
         """Pose of the tool float64[3] [m] and float64[3, 3], as it was told to be."""
         return forward(get_chain(self.rig.arm), self.joints)
@@ -292,7 +299,7 @@ class Execution:
         self.inside = None
         for start, end in pairwise(way):
             path = joint_path(np.array([start, end]), self.rig.limits)
-            self.follow(path, limits_along(path, self.rig.limits), stage, (guard,), (), commands)
+            self.follow(path, self.bounds(path, self.rig.limits), stage, (guard,), (), commands)
             commands = ()
 
     def grasp(self, approach: ApproachPath) -> None:
@@ -301,7 +308,7 @@ class Execution:
         above = approach.rise > -1e-9  # The contact itself, whatever rounding made of it.
         joints, rise = approach.joints[above], approach.rise[above]
         path = joint_path(joints[::-1], limits)
-        bounds = limits_along(path, limits)
+        bounds = self.bounds(path, limits)
         segments = approach_speed_limits(path, rise[::-1], ((CAREFUL, CAREFUL_SPEED),), bounds)
         self.follow(path, bounds, "pick", (EMPTY,), segments)
         self.close()
@@ -315,11 +322,12 @@ class Execution:
         path, bounds = self.gently(joints)
         off = float(np.interp(LOOSE, rise, path.knots))
         guards, segments = (NEAR, LOADED._replace(begin=off)), ()
-        if self.order.scene.half is not None and not grasp.sideways:
+        slot = 0.0 if self.order.scene.half is None or grasp.sideways else self.slot(False)
+        if slot:
             # Beside others it slides out of a slot.
-            out = float(np.interp(self.slot(), rise, path.knots))
+            out = float(np.interp(slot, rise, path.knots))
             guards = (NEAR, BESIDE._replace(begin=off), LOADED._replace(begin=out))
-            slowly = min(SLOT_SPEED * out / self.slot(), bounds.speed)
+            slowly = min(SLOT_SPEED * out / slot, bounds.speed)
             # It comes to rest at the end of the way, however near the end of the slot is to that.
             speed = min(
                 slowly, *(reachable_speed(0.0, s, bounds) for s in (out, path.length - out))
@@ -360,16 +368,23 @@ class Execution:
         scene, move = self.order.scene, self.order.move
         return float(scene.mass(scene.members(move.cell)).sum())
 
-    def slot(self) -> float:
-        """Height of the object, which it may slide along others [m], where it was or shall be."""
+    def slot(self, goal: bool) -> float:
+        """So far above where it was, or shall be, the object may slide along others [m]; 0:
+        nothing stands so near beside that it could."""
         scene, move = self.order.scene, self.order.move
         members = scene.members(move.cell)
-        there, turns = carried(scene, move, members)
-        goal = scene.rows(members, 0)._replace(position=there, quaternion=turns)
-        heights = []
-        for low, high in (scene.rows(members, 0).bounds(), goal.bounds()):
-            heights.append(float(high[:, 2].max() - low[:, 2].min()))
-        return max(heights) + LOOSE
+        own = scene.rows(members, 0)
+        if goal:
+            there, turns = carried(scene, move, members)
+            own = own._replace(position=there, quaternion=turns)
+        (low, high), (under, over) = own.bounds(), scene.bounds()
+        bottom = low[:, 2].min()
+        near = (under[:, None] < high + NEAR_BY) & (over[:, None] > low - NEAR_BY)
+        beside = np.any(near[..., 0] & near[..., 1], 1) & (over[:, 2] > bottom + LEDGE)
+        beside[members] = False
+        if not beside.any():
+            return 0.0
+        return float(min(over[beside, 2].max(), high[:, 2].max()) - bottom) + LOOSE
 
     def gently(self, joints: np.ndarray) -> tuple[JointPath, PathLimits]:
         """A path of the loaded hand through joint positions float64[k, n] [rad], and how fast: as
@@ -379,10 +394,10 @@ class Execution:
         suction, world = rig.arm.suction, rig.world
         if suction is None or world is None or not self.holding:
             path = joint_path(joints, limits)
-            return path, limits_along(path, limits)
+            return path, self.bounds(path, limits)
         limits = limits._replace(jerk=np.minimum(limits.jerk, limits.acceleration / RAMP_TIME))
         path = joint_path(joints, limits)
-        bounds = limits_along(path, limits)
+        bounds = self.bounds(path, limits)
         load = hanging(world, self.order.target, *rig.senses.in_hand())
         lip, chain = self.course.plan.move.grasp.lip, get_chain(rig.arm)
         cup = next(one for one in suction.cups if one.lip == lip)
@@ -393,7 +408,7 @@ class Execution:
                 break
             limits = limits.scaled(max(0.9 * math.sqrt(GENTLE / peak), 0.5))
             path = joint_path(joints, limits)
-            bounds = limits_along(path, limits)
+            bounds = self.bounds(path, limits)
         return path, bounds
 
     def carry(self, way: np.ndarray, guard: Guard = LOADED) -> None:
@@ -435,7 +450,7 @@ class Execution:
         leave = leaving(rig.arm, centre, place, plan.height, found)
         if isinstance(leave, str):
             raise Failure(Outcome.UNREACHABLE, "place", leave)
-        return found, leave
+        return found.upto(plan.place.rise[-1]), leave.upto(plan.leave.rise[-1])
 
     def lower(self, approach: ApproachPath, stage: str, before: Guard, near: Guard) -> None:
         """Down, the last part slowly, until the object rests or the path ends.
@@ -446,15 +461,17 @@ class Execution:
             before: what is looked for on the way ...
             near: ... and within :data:`LOOSE` of the place.
         """
-        self.inside = approach
+        self.inside, pick = approach, self.course.plan.pick
         now = _nearest(approach, self.joints)
         path, bounds = self.gently(np.vstack([self.joints, approach.joints[:now][::-1]]))
         rise = approach.rise[: now + 1][::-1]
-        zones = [(CAREFUL, CAREFUL_SPEED), (SOFT, SOFT_SPEED)]
-        if self.order.scene.half is not None:
-            zones = sorted([*zones, (min(self.slot() + SOFT, rise[0]), SLOT_SPEED)], reverse=True)
+        soft = SOFT if self.order.scene.half is None else LOOSE
+        zones = [(CAREFUL, CAREFUL_SPEED), (soft, SOFT_SPEED)]
+        slot = 0.0 if self.order.scene.half is None else self.slot(approach is not pick)
+        if slot:
+            zones = sorted([*zones, (min(slot, rise[0]), SLOT_SPEED)], reverse=True)
         if self.rig.guarded:
-            zones.append((LOOSE, GUARDED_SPEED))
+            zones.append((self.rig.guarded, GUARDED_SPEED))
         press = self.press() if before is LOADED else 0.0
         if press:
             zones.append((PRESS_NEAR, PRESS_SPEED))
@@ -464,9 +481,9 @@ class Execution:
         if self.rig.guarded:
             until = until._replace(held=PRESSED + press)
         guards = (before, until)
-        if self.order.scene.half is not None and before is LOADED:
+        if slot and before is LOADED:
             # Between others it slides into a slot.
-            begin = float(np.interp(-self.slot(), -rise, path.knots))
+            begin = float(np.interp(-slot, -rise, path.knots))
             guards = (before, BESIDE._replace(begin=begin), until)
         self.landed = False
         self.landed = self.follow(path, bounds, stage, guards, segments).stop == Stop.CONTACT
@@ -485,17 +502,18 @@ class Execution:
 
     def release(self, stage: str, guard: Guard) -> None:
         """Open no further than needed; with a cup, turn the vacuum off and wait."""
-        self.wait(LOAD_TIME, stage, guard, (ToolCommand(load=0.0),))
-        arm = self.rig.arm
+        arm, load = self.rig.arm, ToolCommand(load=0.0)
         self.holding = self.closed = False
         if arm.suction is not None:
-            told, seconds = ToolCommand(vacuum=False), arm.suction.release_time + TIMESTEP
+            # The controller forgets the load while the vacuum breaks down.
+            seconds = max(LOAD_TIME, arm.suction.release_time + TIMESTEP)
+            self.wait(seconds, stage, guard, (load, ToolCommand(vacuum=False)))
         else:
+            self.wait(LOAD_TIME, stage, guard, (load,))
             gripper, order = arm.gripper, self.order
             told = ToolCommand(width=order.opening, speed=gripper.speed)
             way = order.opening - order.held + gripper.force / gripper.stiffness
-            seconds = way / gripper.speed
-        self.wait(seconds, stage, guard, (told,))
+            self.wait(way / gripper.speed, stage, guard, (told,))
         self.rig.senses.let_go()
 
     def rise(self, stage: str, guard: Guard) -> None:
@@ -506,7 +524,7 @@ class Execution:
         limits = self.rig.loaded if self.holding else self.rig.limits
         above = approach.joints[_nearest(approach, self.joints) + 1 :]
         path = joint_path(np.vstack([self.joints, above]), limits)
-        self.follow(path, limits_along(path, limits), stage, (guard,))
+        self.follow(path, self.bounds(path, limits), stage, (guard,))
         self.inside = None
 
 

@@ -7,7 +7,7 @@ Ways of the arm meet nothing: a straight line of the joints where possible, else
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import mujoco
@@ -310,6 +310,8 @@ def _shortened(
 
 # ---------------------------------------------------------------- the course of an attempt
 
+STRAIGHT = 0.015
+"""At least so far from a contact the tool comes and goes straight [m]."""
 MAX_RAISES = 4
 """How often the crossing is tried again, a level higher."""
 _MAX_LIFTS, _UP = 8, np.array([0.0, 0.0, LEVEL])
@@ -341,7 +343,7 @@ class Course(NamedTuple):
     across: np.ndarray
     """From there to above the target."""
     home: np.ndarray
-    """From there home."""
+    """From there to where it waits: home, or above where it took the object."""
 
 
 def require_held(arm: Arm, scene: Scene, move: Move) -> None:
@@ -356,7 +358,12 @@ def require_held(arm: Arm, scene: Scene, move: Move) -> None:
 
 
 def prepare(
-    arm: Arm, world: SimulatedWorld, order: Order, joints: np.ndarray | None, precheck: bool
+    arm: Arm,
+    world: SimulatedWorld,
+    order: Order,
+    joints: np.ndarray | None,
+    precheck: bool,
+    following: np.ndarray | None = None,
 ) -> Course:
     """The course of an attempt.
 
@@ -366,12 +373,14 @@ def prepare(
         order: what is asked.
         joints: float64[n] where the arm is [rad]; by default its :func:`rest_pose`.
         precheck: whether an occupied target is a failure already.
+        following: float64[3] from the top of this object to where the top of the next one will
+            be [m]: the arm takes the shortest ways there are, and waits above that.
 
     Raises:
         Failure: where there is none.
     """
     checker = WorldChecker(arm, world, order.poses, order.names)
-    plan = _plan(arm, checker, order)
+    plan = _plan(arm, checker, order, arm.home if following is None or joints is None else joints)
     placed = order.in_world(plan.move.grasp, plan.move.place)
     if precheck:
         checker.put(order.target, *placed, order.opening)
@@ -382,10 +391,69 @@ def prepare(
     plan, across = _across(arm, checker, order, plan)
     checker.empty(order.opening)
     start = rest_pose(arm, checker) if joints is None else joints
+    waits = None
+    if following is not None:
+        if len(across) == 2:
+            plan = _lowered(checker, order, plan, start)
+            across = np.array([plan.pick.joints[-1], plan.place.joints[-1]])
+        waits = _above(checker, plan.pick, following)
+        checker.empty(order.opening)
     there = free_way(checker, start, plan.pick.joints[-1], "approach")
     checker.put(order.target, *placed, order.opening)
-    home = free_way(checker, plan.leave.joints[-1], rest_pose(arm, checker), "home")
+    if waits is None:
+        waits = rest_pose(arm, checker)
+    elif len(across) == 2:
+        plan = plan._replace(leave=_lowest(plan.leave, lambda q: _free(checker, q, waits)))
+    home = free_way(checker, plan.leave.joints[-1], waits, "home")
     return Course(plan, there, across, home)
+
+
+def _free(checker: WorldChecker, start: np.ndarray, end: np.ndarray) -> bool:
+    return checker.blocked(start, end) is None
+
+
+def _lowest(path: ApproachPath, free: Callable[[np.ndarray], bool]) -> ApproachPath:
+    """An approach path only as high as it has to be.
+
+    Args:
+        path: whose end is high enough.
+        free: of its joints float64[n]: whether the way from there is.
+    """
+    low = int(np.searchsorted(path.rise, STRAIGHT - 1e-9))
+    high = len(path.joints) - 1
+    # What is free is so higher up, too, as a rule; what is found is looked at itself.
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (low, middle) if free(path.joints[middle]) else (middle + 1, high)
+    return ApproachPath(path.joints[: high + 1], path.rise[: high + 1])
+
+
+def _lowered(
+    checker: WorldChecker, order: Order, plan: Approaches, start: np.ndarray
+) -> Approaches:
+    """The plan with approach paths only as high as the ways between them need, those straight."""
+    move, pick, place = plan.move, plan.pick, plan.place
+    if move.grasp.sideways or move.place.sideways or move.place.apart:
+        return plan
+    checker.carry(order.target, *order.in_hand(move.grasp), order.held)
+    top = pick.joints[-1]
+    place = _lowest(place, lambda q: _free(checker, top, q))
+    over = place.joints[-1]
+    pick = _lowest(pick, lambda q: _free(checker, q, over))
+    checker.empty(order.opening)
+    if not _free(checker, start, pick.joints[-1]):
+        pick = plan.pick
+    return plan._replace(pick=pick, place=place)
+
+
+def _above(checker: WorldChecker, pick: ApproachPath, step: np.ndarray) -> np.ndarray | None:
+    """Joints float64[n] [rad] with the empty tool above the next object, ``step`` float64[3] [m]
+    from above this one; None where it cannot be there."""
+    arm = checker.arm
+    position, rotation = forward(get_chain(arm), pick.joints[-1])
+    found = solve(arm, position + step, rotation, pick.joints[-1], restarts=0)
+    checker.empty(checker.opening)
+    return found.joints if found.ok and checker.check(found.joints) is None else None
 
 
 def rest_pose(arm: Arm, checker: WorldChecker) -> np.ndarray:
@@ -399,8 +467,9 @@ def rest_pose(arm: Arm, checker: WorldChecker) -> np.ndarray:
     return arm.home
 
 
-def _plan(arm: Arm, checker: WorldChecker, order: Order) -> Approaches:
-    """As ordered or with the hand turned: whatever meets less, then what turns less."""
+def _plan(arm: Arm, checker: WorldChecker, order: Order, waits: np.ndarray) -> Approaches:
+    """As ordered or with the hand turned: whatever meets less, then what turns less on the way
+    from where the arm waits, float64[n] [rad], and back."""
     height, given = order.height, order.move
     found: list[tuple[int, float, Approaches]] = []
     reasons: list[Failure] = []
@@ -424,7 +493,7 @@ def _plan(arm: Arm, checker: WorldChecker, order: Order) -> Approaches:
             reasons.append(Failure(Outcome.UNREACHABLE, "retreat", leave))
             continue
         plan = Approaches(pick[0], place[0], leave, move, height)
-        ways = [arm.home, *plan.pick.joints[::-1], *plan.place.joints, arm.home]
+        ways = [waits, *plan.pick.joints[::-1], *plan.place.joints, waits]
         found.append((pick[1] + place[1], travel_time(arm, ways), plan))
     if not found:
         raise reasons[0]

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 _BENT = 0.6
 """Share of acceleration and jerk that the bends of a path may use."""
+BENT_SHARES = (0.2, 0.4, 0.6, 0.75, 0.88)
+"""The same, to choose from: a high speed on a long way, a fast start on a short one."""
 
 
 def load_ruckig() -> Any:
@@ -46,22 +48,34 @@ class PathLimits(NamedTuple):
     jerk: float
 
 
-def limits_along(path: JointPath, limits: Limits) -> PathLimits:
-    """Constant limits on s(t) that keep every joint of the path within ``limits``."""
+def limits_along(path: JointPath, limits: Limits, quickest: bool = False) -> PathLimits:
+    """Constant limits on s(t) that keep every joint of the path within ``limits``.
+
+    Args:
+        path: on which the arm moves.
+        limits: of its joints.
+        quickest: bends may use the share of acceleration and jerk with which this path takes least
+            time, not always the same one.
+    """
     if path.length == 0:
         return PathLimits(1.0, 1.0, 1.0)
     first, second, third = (np.maximum(bound, 1e-12) for bound in path.bounds())
     v, a, j = limits[:3]
-    speed = min(
-        np.min(v / first),
-        np.sqrt(np.min(_BENT * a / second)),
-        np.cbrt(np.min(_BENT / 2 * j / third)),
-    )
-    acceleration = min(
-        np.min((a - second * speed**2) / first), np.min(_BENT / 2 * j / (3 * second * speed))
-    )
-    jerk = np.min((j - 3 * second * speed * acceleration - third * speed**3) / first)
-    return PathLimits(float(speed), float(acceleration), float(jerk))
+    found: list[tuple[float, PathLimits]] = []
+    for bent in BENT_SHARES if quickest else (_BENT,):
+        speed = min(
+            np.min(v / first),
+            np.sqrt(np.min(bent * a / second)),
+            np.cbrt(np.min(bent / 2 * j / third)),
+        )
+        acceleration = min(
+            np.min((a - second * speed**2) / first), np.min(bent / 2 * j / (3 * second * speed))
+        )
+        jerk = np.min((j - 3 * second * speed * acceleration - third * speed**3) / first)
+        # From rest to rest, where the full speed is reached.
+        seconds = path.length / speed + speed / acceleration + acceleration / jerk
+        found.append((seconds, PathLimits(float(speed), float(acceleration), float(jerk))))
+    return min(found, key=lambda one: one[0])[1]
 
 
 def reachable_speed(speed: float, way: float, bounds: PathLimits) -> float:
@@ -172,14 +186,24 @@ def approach_speed_limits(
         zones: height above the contact [m] and largest speed there [m/s], downwards.
         bounds: of the path.
     """
-    segments, top, begun, speed = [], bounds.speed, 0.0, 0.0
+    ends, limits = [0.0], [bounds.speed]
     for height, slowly in zones:
         s = float(np.interp(-height, -rise, path.knots))
         # Within a zone, s and the way of the tool are all but proportional.
-        limit = min(top, slowly * (path.length - s) / (height - rise[-1]))
-        if s > begun:
-            speed = min(limit, reachable_speed(speed, s - begun, bounds))
-            segments.append(Segment(s, speed, top))
-            begun = s
-        top = limit
-    return (*segments, Segment(path.length, 0.0, top))
+        limit = min(limits[-1], slowly * (path.length - s) / (height - rise[-1]))
+        if s > ends[-1]:
+            ends.append(s)
+            limits.append(limit)
+        else:
+            limits[-1] = limit
+    # What a zone is entered with can be reached from the one above, and from it the next.
+    entered = [0.0, *limits[1:], 0.0]
+    ends.append(path.length)
+    for k in range(1, len(ends) - 1):
+        entered[k] = min(entered[k], reachable_speed(entered[k - 1], ends[k] - ends[k - 1], bounds))
+    for k in range(len(ends) - 2, 0, -1):
+        entered[k] = min(entered[k], reachable_speed(entered[k + 1], ends[k + 1] - ends[k], bounds))
+    return tuple(
+        Segment(end, speed, top)
+        for end, speed, top in zip(ends[1:], entered[1:], limits, strict=True)
+    )
