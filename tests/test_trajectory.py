@@ -17,6 +17,7 @@ from learn2assemble.simulation.bench import braked
 from learn2assemble.simulation.trajectory import (
     PathLimits,
     Segment,
+    approach_speed_limits,
     limits_along,
     motion,
     reachable_speed,
@@ -125,6 +126,34 @@ def test_speeds_within_reach_need_no_run_up(
     run = motion(path, bounds, STEP, (Segment(middle, speed),))
     assert (run.progress[:, 1] >= -1e-9).all()
     assert run.progress[-1, 0] == pytest.approx(middle)
+
+
+@given(st.floats(0.03, 0.2), st.floats(0.006, 0.03), st.floats(0.2, 3.0))
+@settings(max_examples=60, deadline=None)
+def test_slow_zones_that_are_near_each_other_are_entered_slowly_enough(
+    way: float, height: float, top: float
+) -> None:
+    path = JointPath(np.array([0.0, way]), np.array([[0.0], [way]]), np.zeros((2, 1)))
+    bounds, rise = PathLimits(top, 2.0, 40.0), np.array([way, 0.0])
+    zones = ((height, 0.1), (0.005, 0.02))
+    run = motion(path, bounds, STEP, approach_speed_limits(path, rise, zones, bounds))
+    s, rate = run.progress[:, 0], run.progress[:, 1]
+    assert (np.diff(s) >= -1e-9).all()
+    assert s[-1] == pytest.approx(way)
+    for above, speed in zones:
+        assert rate[way - s < above - 1e-9].max() <= speed + 1e-6
+
+
+@given(seed=seeds)
+@settings(max_examples=40, deadline=None)
+def test_the_quickest_limits_keep_to_those_of_the_joints_and_are_not_slower(seed: int) -> None:
+    path = joint_path(walks(seed, 5), LIMITS)
+    usual, quickest = (
+        motion(path, limits_along(path, LIMITS, quick), STEP) for quick in (False, True)
+    )
+    joined = np.vstack([path.joints[:1], quickest.position])
+    assert max(shares(joined, LIMITS)) <= 1 + 2e-3
+    assert len(quickest.position) <= 1.1 * len(usual.position) + 1
 
 
 def test_legs_change_the_speed_on_the_way() -> None:

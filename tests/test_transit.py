@@ -229,6 +229,23 @@ def test_a_course_crosses_above_everything(height: int) -> None:
     np.testing.assert_allclose(course.home[-1], PANDA.home)
 
 
+def test_a_build_takes_low_ways_and_waits_above_the_next_object() -> None:
+    order = take_order(tower(2), Move(2, np.array([0.0, 0.15, 0.025]), *AA))
+    world = compile_world(PANDA, order.objects.shape, 1.0)
+    high = prepare(PANDA, world, order, PANDA.home, True)
+    low = prepare(PANDA, world, order, PANDA.home, True, np.array([0.05, 0.0, 0.0]))
+    where = [forward(get_chain(PANDA), q)[0] for q in (low.across[0], low.home[-1])]
+    np.testing.assert_allclose(where[1], where[0] + [0.05, 0.0, 0.0], atol=1e-4)
+    for one, other in ((low.plan.pick, high.plan.pick), (low.plan.leave, high.plan.leave)):
+        assert len(one.joints) <= len(other.joints)
+    assert len(low.plan.leave.joints) < len(high.plan.leave.joints)
+    checker = WorldChecker(PANDA, world, order.poses, order.names)
+    checker.carry(order.target, *order.in_hand(low.plan.move.grasp), order.held)
+    assert all(checker.blocked(a, b) is None for a, b in pairwise(low.across))
+    checker.empty(order.opening)
+    assert all(checker.blocked(a, b) is None for a, b in pairwise(low.there))
+
+
 def test_where_no_way_is_free_the_target_is_unreachable(monkeypatch: pytest.MonkeyPatch) -> None:
     def nowhere(*_: object) -> Collision:
         return Collision("link5", "block 0", True)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _BENT = 0.6
 """Share of acceleration and jerk that the bends of a path may use."""
+_HALVINGS = 30
 BENT_SHARES = (0.2, 0.4, 0.6, 0.75, 0.88)
 """The same, to choose from: a high speed on a long way, a fast start on a short one."""
 
@@ -83,7 +84,24 @@ def reachable_speed(speed: float, way: float, bounds: PathLimits) -> float:
     no lower than that."""
     # The acceleration rises and falls at full jerk; on average it is at least half its peak.
     peak = min(bounds.acceleration, np.cbrt(bounds.jerk**2 * way / 2))
-    return float(np.sqrt(speed**2 + peak * way))
+    found = float(np.sqrt(speed**2 + peak * way))
+    if not speed:
+        return found
+
+    def needed(end: float) -> float:
+        """The way on which the speed changes to this one."""
+        change = end - speed
+        ramps = 2 * math.sqrt(change / bounds.jerk)
+        if change > bounds.acceleration**2 / bounds.jerk:
+            ramps = change / bounds.acceleration + bounds.acceleration / bounds.jerk
+        return (speed + end) / 2 * ramps
+
+    low, high = speed, found
+    # A start that moves covers the way in less time, so it gains less.
+    for _ in range(_HALVINGS if needed(found) > way else 0):
+        middle = (low + high) / 2
+        low, high = (middle, high) if needed(middle) <= way else (low, middle)
+    return low if needed(found) > way else found
 
 
 class PathSamples(NamedTuple):
