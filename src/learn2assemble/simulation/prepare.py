@@ -380,7 +380,7 @@ def prepare(
         Failure: where there is none.
     """
     checker = WorldChecker(arm, world, order.poses, order.names)
-    plan = _plan(arm, checker, order, arm.home if following is None or joints is None else joints)
+    plan = _plan(arm, checker, order)
     placed = order.in_world(plan.move.grasp, plan.move.place)
     if precheck:
         checker.put(order.target, *placed, order.opening)
@@ -467,9 +467,9 @@ def rest_pose(arm: Arm, checker: WorldChecker) -> np.ndarray:
     return arm.home
 
 
-def _plan(arm: Arm, checker: WorldChecker, order: Order, waits: np.ndarray) -> Approaches:
-    """As ordered or with the hand turned: whatever meets less, then what turns less on the way
-    from where the arm waits, float64[n] [rad], and back."""
+def _plan(arm: Arm, checker: WorldChecker, order: Order) -> Approaches:
+    """As ordered or with the hand turned: whatever meets less, then what turns less on a way from
+    home and back: from where the arm waits above its supply the wrist comes nearer to others."""
     height, given = order.height, order.move
     found: list[tuple[int, float, Approaches]] = []
     reasons: list[Failure] = []
@@ -493,7 +493,7 @@ def _plan(arm: Arm, checker: WorldChecker, order: Order, waits: np.ndarray) -> A
             reasons.append(Failure(Outcome.UNREACHABLE, "retreat", leave))
             continue
         plan = Approaches(pick[0], place[0], leave, move, height)
-        ways = [waits, *plan.pick.joints[::-1], *plan.place.joints, waits]
+        ways = [arm.home, *plan.pick.joints[::-1], *plan.place.joints, arm.home]
         found.append((pick[1] + place[1], travel_time(arm, ways), plan))
     if not found:
         raise reasons[0]
