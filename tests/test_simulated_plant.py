@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from learn2assemble.motion.plant import (
     Guard,
     Motion,
     PlantError,
+    Report,
     Request,
     Stop,
     ToolCommand,
@@ -255,3 +257,27 @@ def test_a_table_that_is_not_there_is_said_to_be_missing(low: Plan) -> None:
     assert plan.arm.failures[0].outcome == "no-contact"
     assert "nothing is met 4 mm below the place" in plan.arm.failures[0].detail
     assert not plan.steps
+
+
+def test_a_cup_that_has_come_off_holds_the_next_block(
+    low: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at = Workcell("ur5e", "suction")
+    found = prepare(low, at, KIT.joint_gap)
+    plant = DynamicPlant(setup_of(found.job, at))
+    execute, torn = plant.execute, list[str]()
+
+    def tear(motion: Motion, *told: Any) -> Report:
+        cup = plant.bench.sim.cup
+        if motion.stage == "cross" and not torn and cup.held is not None:
+            cup.lost = "torn off"
+            cup._let_go()
+            torn.append(motion.stage)
+        return execute(motion, *told)
+
+    monkeypatch.setattr(plant, "execute", tear)
+    plan = carry_out(low, at, found=found, plant=plant)
+    assert torn
+    assert plan.complete, plan.reason
+    assert plan.arm is not None
+    assert [failure.outcome for failure in plan.arm.failures] == ["grasp-lost"]

@@ -89,7 +89,7 @@ PRESSED = 20.0
 """What is set down never presses harder on anything [N]."""
 GRIP_TIME = 0.2
 """The tool has taken hold within this time after it was told to [s]."""
-CALM_TIME = 0.05
+CALM_TIME = 0.1
 """The hand stands still so long before it is looked where a box of given size sits in it [s]."""
 ELSEWHERE = 0.03
 """What is seen so far from where it should be in the hand is not what the hand holds [m]."""
@@ -469,7 +469,7 @@ class Execution:
         zones = [(CAREFUL, CAREFUL_SPEED), (soft, SOFT_SPEED)]
         slot = 0.0 if self.order.scene.half is None else self.slot(approach is not pick)
         if slot:
-            zones = sorted([*zones, (min(slot, rise[0]), SLOT_SPEED)], reverse=True)
+            zones = sorted([*zones, (min(slot + SOFT, rise[0]), SLOT_SPEED)], reverse=True)
         if self.rig.guarded:
             zones.append((self.rig.guarded, GUARDED_SPEED))
         press = self.press() if before is LOADED else 0.0
@@ -587,6 +587,13 @@ def _settle(run: Execution, stage: str) -> None:
         run.holding = run.closed and (felt.grip or 0.0) >= HOLDS
     if held and not run.holding:
         run.rig.senses.lost()
+    suction = run.rig.arm.suction
+    if suction is not None and run.closed and not run.holding:
+        # A cup that has come off takes hold again only after its vacuum was turned off.
+        run.closed = False
+        seconds = max(LOAD_TIME, suction.release_time + TIMESTEP)
+        run.wait(seconds, "release", BLIND, (ToolCommand(load=0.0), ToolCommand(vacuum=False)))
+    elif held and not run.holding:
         run.wait(LOAD_TIME, "release", BLIND, (ToolCommand(load=0.0),))
 
 
