@@ -921,6 +921,22 @@ BAD = [
     BadCall("bench for no time", ["bench", "--seconds", "0"], "a number from 0.001"),
     BadCall("bench for ever", ["bench", "--seconds", "inf"], "a number from 0.001"),
     BadCall("bench for a word", ["bench", "--seconds", "soon"], "a number from 0.001"),
+    # benchmark
+    BadCall("benchmark of nothing", ["benchmark", "check"], "FILE"),
+    BadCall(
+        "benchmark of a missing file", ["benchmark", "check", "{d}/nosuch.jsonl.gz"], "no such"
+    ),
+    BadCall("benchmark of a text", ["benchmark", "board", "{d}/file.txt"], "file.txt"),
+    BadCall(
+        "benchmark of no problems",
+        ["benchmark", "run", "{d}/x.jsonl.gz", "--policy", "random", "--problems", "0"],
+        "a whole number from 1",
+    ),
+    BadCall(
+        "benchmark by nobody",
+        ["benchmark", "run", "{d}/x.jsonl.gz", "--policy", "nosuch"],
+        "nosuch",
+    ),
     # view
     BadCall("view nothing", ["view"], "PLAN"),
     BadCall("view a missing plan", ["view", "{d}/nosuch"], "a plan.json or its folder"),

@@ -24,8 +24,7 @@ from learn2assemble.assembly.joints import (
 )
 from learn2assemble.assembly.values import Colour, coordinates
 from learn2assemble.errors import InputError, check_name, is_number
-from learn2assemble.geometry.hulls import convex_hull
-from learn2assemble.geometry.rotations import cross_rows
+from learn2assemble.geometry.hulls import convex_hull, cross_rows
 from learn2assemble.values import By
 
 MAX_VERTICES = 20_000

@@ -206,7 +206,7 @@ def _bench(options: argparse.Namespace, output: Output) -> None:
     COMMANDS,
     "benchmark",
     "enter the benchmark: play it, check a file by playing it again, show the board",
-    "l2a benchmark run out/random.jsonl.gz --policy random --problems 2",
+    "l2a benchmark check results/benchmark/random.jsonl.gz",
     arg("action", choices=("run", "check", "board"), help="run writes one file; the others read"),
     arg("files", nargs="+", type=named, metavar="FILE", help="NAME.jsonl.gz"),
     arg("--policy", default=None, help="random, look-ahead, shipped, module:name or file.py:name"),

@@ -152,7 +152,7 @@ def read_submission(path: str | Path) -> Submission:
     """
     path = Path(path)
     source = printable(path.name)
-    head, *rest = [dict(line) for line in read_json_lines(path, "entry of the benchmark")] or [{}]
+    head, *rest = [dict(line) for line in read_json_lines(path, "benchmark entry")] or [{}]
     if head.get("format") != FORMAT:
         raise InputError(f"{source}: format", head.get("format"), repr(FORMAT))
     if head.get("suite") != SUITE_VERSION:

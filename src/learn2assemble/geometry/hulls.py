@@ -310,3 +310,9 @@ def separation(
             best = float(gap[k]), way
     assert best is not None
     return best
+
+
+def cross_rows(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """float64[n, 3]: cross products of rows float64[n, 3]; quicker than numpy's for few of them."""
+    (x, y, z), (u, v, w) = a.T, b.T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], 1)

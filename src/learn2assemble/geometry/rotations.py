@@ -159,9 +159,3 @@ def rotation_of(vector: np.ndarray) -> np.ndarray:
 def _cross(v: np.ndarray) -> np.ndarray:
     x, y, z = v.tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def cross_rows(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """float64[n, 3]: cross products of rows float64[n, 3]; quicker than numpy's for few of them."""
-    (x, y, z), (u, v, w) = a.T, b.T
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], 1)

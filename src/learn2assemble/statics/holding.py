@@ -19,8 +19,8 @@ import scipy.sparse as sp
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import Learn2AssembleError
+from learn2assemble.geometry.hulls import cross_rows
 from learn2assemble.geometry.reach import inner_circle
-from learn2assemble.geometry.rotations import cross_rows
 from learn2assemble.statics.holding_forces import Columns, Forces, forces_of, joined
 
 MOST_G = 10.0
