@@ -169,6 +169,17 @@ class WorldChecker(CollisionChecker):
         hit = self._say(pairs[hits[0]]) if len(hits) else None
         return hit, float(np.min(distance[sort < 2], initial=LOOK))
 
+    def room(self, besides: int | None) -> float:
+        """Distance of the arm from everything but the object ``besides`` and what it holds [m],
+        where it was looked at last; at most :data:`~.model.LOOK`."""
+        pairs, distance = self.data.contact.geom, self.data.contact.dist
+        if not len(distance):
+            return LOOK
+        kinds, sort = self.world.kind[pairs], self._sort[pairs[:, 0], pairs[:, 1]]
+        skip = [besides, None if self._held is None else self._held[0]]
+        others = ~np.isin(kinds, [kind for kind in skip if kind is not None]).any(1)
+        return float(np.min(distance[(sort == 1) & others], initial=LOOK))
+
     def reach(self) -> np.ndarray:
         """float64[n]: no point of what a joint moves is farther from its axis [m]."""
         held = 0.0
@@ -312,6 +323,8 @@ def _shortened(
 
 STRAIGHT = 0.015
 """At least so far from a contact the tool comes and goes straight [m]."""
+LIFTED, GRADE = 0.008, 0.001
+"""So far above a contact it counts how near the arm comes to others [m], in steps of this [m]."""
 MAX_RAISES = 4
 """How often the crossing is tried again, a level higher."""
 _MAX_LIFTS, _UP = 8, np.array([0.0, 0.0, LEVEL])
@@ -471,20 +484,21 @@ def _plan(arm: Arm, checker: WorldChecker, order: Order) -> Approaches:
     """As ordered or with the hand turned: whatever meets less, then what turns less on a way from
     home and back: from where the arm waits above its supply the wrist comes nearer to others."""
     height, given = order.height, order.move
-    found: list[tuple[int, float, Approaches]] = []
+    found: list[tuple[float, float, Approaches]] = []
+    sized = order.scene.half is not None
     reasons: list[Failure] = []
     others = (turned(order.scene, given, turn) for turn in turns(arm, given))
     for move in (given, *others):
         centre = order.scene.position[move.cell]
         checker.empty(order.opening)
         over = tool_path(centre, move.grasp, height, move.grasp.straight)
-        pick = _choose(checker, approach_paths(arm, over, PRESS), order.target)
+        pick = _choose(checker, approach_paths(arm, over, PRESS), order.target, sized)
         if isinstance(pick, str):
             reasons.append(Failure(Outcome.UNREACHABLE, "pick", pick))
             continue
         checker.carry(order.target, *order.in_hand(move.grasp), order.held)
         over = tool_path(move.target, move.place, height, upwards=True)
-        place = _choose(checker, approach_paths(arm, over, order.below), None)
+        place = _choose(checker, approach_paths(arm, over, order.below), None, sized)
         if isinstance(place, str):
             reasons.append(Failure(Outcome.UNREACHABLE, "place", place))
             continue
@@ -510,19 +524,28 @@ def leaving(
 
 
 def _choose(
-    checker: WorldChecker, approaches: Iterator[ApproachPath | str], besides: int | None
-) -> tuple[ApproachPath, int] | str:
-    """The first path that meets nothing but perhaps the object ``besides``, and 0; else the
-    first one, and 1: the motion will tell. If there is none, why."""
+    checker: WorldChecker,
+    approaches: Iterator[ApproachPath | str],
+    besides: int | None,
+    sized: bool,
+) -> tuple[ApproachPath, float] | str:
+    """The first path that meets nothing but perhaps the object ``besides``, and 0, or, among things
+    of any size, what it lacks of :data:`KEEP` [m]; else the first one, and 1: the motion will tell.
+    If there is none, why."""
     first, reason = None, ""
     for found in approaches:
         if isinstance(found, str):
             reason = reason or found
             continue
-        hits = (checker.near(q, 0.0, besides)[0] for q in found.joints[1:])
-        hit = next((hit for hit in hits if hit), None)
+        hit, room = None, KEEP
+        for q, rise in zip(found.joints[1:], found.rise[1:], strict=True):
+            hit = checker.near(q, 0.0, besides)[0]
+            if hit is not None:
+                break
+            if rise >= LIFTED - 1e-9:
+                room = min(room, checker.room(besides))
         if hit is None:
-            return found, 0
+            return found, (KEEP - room // GRADE * GRADE if sized else 0.0)
         first = first or found
         if not hit.by_link:
             # Another branch moves the links, not what is at their end.
