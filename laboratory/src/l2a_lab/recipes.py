@@ -80,6 +80,7 @@ _ALL = (
     _published("objects", _OBJECTS, _EDGES, "num_samples=480000"),
     _published("robot-two-sided", _ROBOT_TWO),
     Recipe("robot-two-sided-paper", _ROBOT_TWO, (RecipeStage("paper"),)),
+    Recipe("robot-four-sided-paper", _ROBOT_FOUR, (RecipeStage("paper"),)),
     Recipe("robot-four-sided", _ROBOT_FOUR, (RecipeStage(), RecipeStage(changes=_AGAIN))),
     _published("robot-objects", _ROBOT_OBJECTS),
     _published("robot-one-sided", "robot-one-sided-5x5-15-17", _SHORTER),
