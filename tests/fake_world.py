@@ -95,9 +95,24 @@ class KinematicWorld:
             there, size = self._bounds(other)
             shared = (half + size - np.abs(middle - there))[:2].min()
             deep = there[2] + size[2] - low
-            if shared > BESIDE and 0 < deep < DEEPEST:
+            if shared > BESIDE and 0 < deep < DEEPEST and self._over(name, other) > BESIDE:
                 found = max(found, deep)
         return float(found)
+
+    def _over(self, name: str, other: str) -> float:
+        """By how much two upright blocks overlap, seen from above, on the axis where they do least
+        [m]; those along the axes of the world overlap sooner, where a block is being turned."""
+        apart = (self.pose[name] - self.pose[other])[:2]
+        sides = [
+            (quaternion_matrix(self.pose[one][3:])[:2, :2] * self.half[one][:2]).T
+            for one in (name, other)
+        ]
+        least = np.inf
+        for axis in np.vstack(sides):
+            length = float(np.linalg.norm(axis))
+            reach = sum(float(np.abs(side @ axis).sum()) for side in sides)
+            least = min(least, (reach - abs(float(apart @ axis))) / length)
+        return least
 
     def _bounds(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Middle and half extents of the box along the axes around a block [m]."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import importlib.util
 import json
-import os
 import socket
 import subprocess
 import sys
@@ -17,7 +16,7 @@ import numpy as np
 import pytest
 
 from learn2assemble.cli import main
-from learn2assemble.envs.policies import Lookahead, RandomChoice, RemoteChoice, load_policy
+from learn2assemble.envs.policies import RandomChoice, RemoteChoice, load_policy, lookahead
 from learn2assemble.envs.submission import (
     Submission,
     _digest,
@@ -37,8 +36,8 @@ from learn2assemble.tasks.evaluation.episodes import (
 )
 from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.task import get_task
+from scripts import ROOT, run_script
 
-ROOT = Path(__file__).resolve().parents[1]
 OUTSIDERS = ROOT / "examples" / "benchmark"
 SMALL, ROBOT = "two-sided-3x3-20-24", "robot-two-sided-3x3-10-14"
 FEW = [SMALL, "goals-cantilever"]
@@ -211,7 +210,7 @@ def test_a_file_that_is_none_is_refused(content: bytes, tmp_path: Path) -> None:
 
 
 def test_the_board_has_the_best_first(entry: Submission) -> None:
-    other = enter(Lookahead(), "look-ahead", tasks=[SMALL], problems=2)
+    other = enter(lookahead(), "look-ahead", tasks=[SMALL], problems=2)
     rows = board([entry, other]).splitlines()
     assert rows[0].startswith("| entry | knows | `two-sided-3x3-20-24` | ")
     assert rows[0].count("|") == 9
@@ -343,14 +342,5 @@ def test_a_policy_that_never_ends_is_asked_no_more() -> None:
 
 @pytest.mark.skipif(importlib.util.find_spec("sb3_contrib") is None, reason="no sb3-contrib")
 def test_another_library_enters(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, str(OUTSIDERS / "maskable_ppo.py"), "ppo.jsonl.gz", "64"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
+    run_script(OUTSIDERS / "maskable_ppo.py", "ppo.jsonl.gz", "64", cwd=tmp_path)
     assert len(check(tmp_path / "ppo.jsonl.gz").played) == 20

@@ -29,10 +29,11 @@ from learn2assemble.robot.moves import (
 )
 from learn2assemble.simulation.cell import DynamicCell, ExactSenses
 from learn2assemble.simulation.execution import Execution, Rig
-from learn2assemble.simulation.model import TIMESTEP, take_order
-from learn2assemble.simulation.prepare import Failure, WorldChecker, prepare
+from learn2assemble.simulation.model import TIMESTEP, Failure, take_order
+from learn2assemble.simulation.prepare import prepare
 from learn2assemble.simulation.rest import ONE_SIDED, ShiftRule, check_rest
 from learn2assemble.simulation.simulation import Drives, Simulation, SimulationDivergedError, Trace
+from learn2assemble.simulation.ways import WorldChecker
 from robot_scenes import GROUND, PITCH, cell, scene
 
 AA, AB, BA, BB = get_grasps("paper")

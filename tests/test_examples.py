@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+from scripts import ROOT, run_script
+
 EXAMPLES = ROOT / "examples"
 WORDS = {"train": ["40"], "own_network": ["200"], "evaluate": ["2"]}
 """Arguments that make an example small."""
@@ -24,14 +22,4 @@ SLOW = {"build_with_arm"}
     ],
 )
 def test_example_runs(name: str, tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, str(EXAMPLES / f"{name}.py"), *WORDS.get(name, [])],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    assert done.stdout.strip()
+    assert run_script(EXAMPLES / f"{name}.py", *WORDS.get(name, []), cwd=tmp_path).strip()

@@ -19,7 +19,9 @@ from learn2assemble.assembly.parts import to_manifold
 from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.clearance import LEVEL, Clearance, overlap, parts_of
-from learn2assemble.planning.given import plan_assembly
+from learn2assemble.planning.forward import Forward
+from learn2assemble.planning.given import contact_layers, plan_assembly
+from learn2assemble.planning.orders import OrderProblem, site_of
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.posts import find_posts
 from learn2assemble.planning.sequence import Doing, Transition, depth_first
@@ -554,3 +556,28 @@ def test_a_counterweight_comes_before_what_would_tip_without_it() -> None:
     plan = plan_assembly(Assembly(blocks), supports="none")
     assert plan.status == "complete"
     assert [step.block for step in plan.steps] == [0, 1, 3, 2]
+
+
+def test_a_prop_behind_another_one_is_walled_in_by_the_structure_alone() -> None:
+    """Two props in a tunnel that is closed last: the one behind leaves after the other one."""
+
+    def box(name: str, *ends: float, prop: bool = False) -> Block:
+        return box_block(name, ends[:3], ends[3:], prop=prop)
+
+    tunnel = (
+        box("left", 0, 0, 0, 1, 4, 2),
+        box("right", 2, 0, 0, 3, 4, 2),
+        box("back", 1, 3, 0, 2, 4, 2),
+        box("roof", 0, 0, 2, 3, 4, 3),
+        box("behind", 1, 2, 0, 2, 3, 2, prop=True),
+        box("before", 1, 1, 0, 2, 2, 2, prop=True),
+    )
+    whole = Assembly((*tunnel, box("door", 1, 0, 0, 2, 1, 2)), friction=0.7)
+    faces = find_contacts(whole)
+    layers = contact_layers(whole.blocks, faces, lambda: faces, 0.0)
+    rules = Forward(site_of(OrderProblem(whole, layers, (0.7,)), whole, layers, Clock(60)))
+    held, shut = np.zeros(len(whole.blocks), bool), np.ones(len(whole.blocks), bool)
+    still_open = shut.copy()
+    still_open[whole.index("door")] = False
+    assert rules.walled(State(still_open, held)) == []
+    assert set(rules.walled(State(shut, held))) == {4, 5}

@@ -34,9 +34,10 @@ from learn2assemble.robot.tool import load_suction
 from learn2assemble.simulation.cell import DynamicCell, WorldForces
 from learn2assemble.simulation.cup import Vacuum
 from learn2assemble.simulation.load import Payload, peak_load
-from learn2assemble.simulation.model import free_cells, take_order
-from learn2assemble.simulation.prepare import Failure, WorldChecker, prepare
+from learn2assemble.simulation.model import Failure, free_cells, take_order
+from learn2assemble.simulation.prepare import prepare
 from learn2assemble.simulation.simulation import Simulation, Trace
+from learn2assemble.simulation.ways import WorldChecker
 from robot_scenes import hands
 from suction_moves import random_moves
 

@@ -23,16 +23,9 @@ from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.kinematic import Collision
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import OPENING, Move, Scene
-from learn2assemble.simulation.model import compile_world, take_order
-from learn2assemble.simulation.prepare import (
-    KEEP,
-    PRESS,
-    STRIDE,
-    Failure,
-    WorldChecker,
-    prepare,
-    straight_or_tree,
-)
+from learn2assemble.simulation.model import PRESS, Failure, compile_world, take_order
+from learn2assemble.simulation.prepare import prepare
+from learn2assemble.simulation.ways import KEEP, STRIDE, WorldChecker, straight_or_tree
 
 PANDA = get_arm("panda")
 AA = get_grasps("along-y")[0]
@@ -250,7 +243,7 @@ def test_where_no_way_is_free_the_target_is_unreachable(monkeypatch: pytest.Monk
     def nowhere(*_: object) -> Collision:
         return Collision("link5", "block 0", True)
 
-    monkeypatch.setattr("learn2assemble.simulation.prepare.straight_or_tree", nowhere)
+    monkeypatch.setattr("learn2assemble.simulation.ways.straight_or_tree", nowhere)
     order = take_order(tower(1), Move(1, np.array([0.0, 0.15, 0.025]), *AA))
     world = compile_world(PANDA, order.objects.shape, 1.0)
     with pytest.raises(Failure, match=r"unreachable \(cross\): no free way: link5 touches"):

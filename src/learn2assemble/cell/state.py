@@ -200,7 +200,21 @@ class Choice:
         places = supply_of(world, k)
         if not places:
             return f"no {world.pieces[k].name} is left in the supply"
-        return Action(k, self.fitted(k), "place", places[0])
+        lying = {source: self._lies_at(k, source) for source in places}
+        free = next((source for source in places if lying[source] is None), None)
+        if free is None:
+            name = world.names[lying[places[0]] or 0]
+            return f"{name} lies where the next {world.pieces[k].name} would be presented"
+        return Action(k, self.fitted(k), "place", free)
+
+    def _lies_at(self, k: int, source: int) -> int | None:
+        """What lies where a source would present a block, but that block itself; None: nothing."""
+        world = self.world
+        place = area(world.pieces[k], world.presented(k, source))
+        lies = (LOOSE, LOST)
+        others = (n for n in world.visible() if n != k and world.state[n] in lies)
+        near = (n for n in others if area(world.pieces[n], world.pose[n]).intersects(place))
+        return next(near, None)
 
     # ------------------------------------------------------------ repair
 

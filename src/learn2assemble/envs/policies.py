@@ -44,14 +44,21 @@ class RandomChoice:
         return int(self.rng.choice(np.flatnonzero(info["action_masks"])))
 
 
-class _OnStates:
+class OnStates:
     """Chooses actions of the states of a task of the paper.
+
+    Args:
+        choose: of a simulator and a state the local indices int64[1, 3] of an action.
+        knows: ``model`` or ``observation``, see :data:`~.suite.Choose`.
 
     Raises:
         InputError: for another task.
     """
 
     env: AssemblyEnv
+
+    def __init__(self, choose: Callable[[Simulator, State], np.ndarray], knows: str) -> None:
+        self.choose, self.knows = choose, knows
 
     def begin(self, env: gymnasium.Env[Any, Any]) -> None:
         """A new problem."""
@@ -66,38 +73,29 @@ class _OnStates:
         action = self.choose(simulator, state) + node_offset(graph)
         return int(locate(distinct_placements(graph, spec), graph, action, spec)[0])
 
-    def choose(self, simulator: Simulator, state: State) -> np.ndarray:
-        """int64[1, 3], local indices."""
-        raise NotImplementedError
 
-
-class Lookahead(_OnStates):
+def lookahead() -> OnStates:
     """The exact one-step look-ahead, see :mod:`learn2assemble.tasks.world_model`."""
-
-    def choose(self, simulator: Simulator, state: State) -> np.ndarray:
-        return lookahead_actions(simulator, state)
+    return OnStates(lookahead_actions, "model")
 
 
-class ShippedAgent(_OnStates):
+def shipped_agent() -> OnStates:
     """The shipped agent for the task, greedy and without a search."""
+    models: dict[str, WorldModel] = {}
 
-    knows = "observation"
-
-    def __init__(self) -> None:
-        self._models: dict[str, WorldModel] = {}
-
-    def choose(self, simulator: Simulator, state: State) -> np.ndarray:
+    def best(simulator: Simulator, state: State) -> np.ndarray:
         name = simulator.task.name
-        if name not in self._models:
-            network = load_agent(default_agent(name)).network
-            self._models[name] = WorldModel(simulator, network)
-        return self._models[name].best(state)[1]
+        if name not in models:
+            models[name] = WorldModel(simulator, load_agent(default_agent(name)).network)
+        return models[name].best(state)[1]
+
+    return OnStates(best, "observation")
 
 
 BASELINES: dict[str, Callable[[], Choose]] = {
     "random": RandomChoice,
-    "look-ahead": Lookahead,
-    "shipped": ShippedAgent,
+    "look-ahead": lookahead,
+    "shipped": shipped_agent,
 }
 """Policies that come with the package, by name."""
 

@@ -45,19 +45,18 @@ class Changeover:
         and, as no block is drawn out from under another, those that lie on what goes, or that
         something comes under.
         """
-        queue = np.flatnonzero(self.old & ~self.new).tolist()
-        queue += [
-            b
-            for n in np.flatnonzero(self.new & ~self.old).tolist()
-            for b in self.above[n]
-            if self.old[b]
-        ]
-        found = set()
+        first = set(np.flatnonzero(self.old & ~self.new).tolist())
+        first |= {b for n in np.flatnonzero(self.new & ~self.old).tolist() for b in self.above[n]}
+        return self.with_those_on(first)
+
+    def with_those_on(self, blocks: Iterable[int]) -> frozenset[int]:
+        """Those of some blocks that are of the old structure, and what lies on them there."""
+        queue, found = list(blocks), set[int]()
         while queue:
             block = queue.pop()
-            if block not in found:
+            if self.old[block] and block not in found:
                 found.add(block)
-                queue += [b for b in self.above[block] if self.old[b]]
+                queue += self.above[block]
         return frozenset(found)
 
     def coming(self, going: Iterable[int]) -> frozenset[int]:

@@ -82,20 +82,10 @@ def find_rebuilding(
                 not best.complete and len(found.steps) >= len(best.steps)
             ):
                 best = found
-        more = _with_those_on(change, falling) - going
+        more = change.with_those_on(falling) - going
         if best.complete or clock.left <= 0 or not more:
             return best
         going |= more
-
-
-def _with_those_on(change: Changeover, blocks: set[int]) -> frozenset[int]:
-    queue, found = [b for b in blocks if change.old[b]], set()
-    while queue:
-        block = queue.pop()
-        if block not in found:
-            found.add(block)
-            queue += [b for b in change.above[block] if change.old[b]]
-    return frozenset(found)
 
 
 @dataclass(frozen=True, order=True)
@@ -159,13 +149,7 @@ class _Beam:
             seen.add(n)
             found |= self._first_gone[n]
             queue += self._base[n] - seen
-        stack = list(found)
-        while stack:
-            for a in self.change.above[stack.pop()]:
-                if a in self.going and a not in found:
-                    found.add(a)
-                    stack.append(a)
-        return frozenset(found)
+        return self.change.with_those_on(found) & self.going
 
     def run(self, falling: set[int]) -> Rebuilt:
         """The best order of a beam.

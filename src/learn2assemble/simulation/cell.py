@@ -36,10 +36,11 @@ from learn2assemble.simulation.model import (
     rigid_objects,
     take_order,
 )
-from learn2assemble.simulation.prepare import WorldChecker, prepare, require_held, rest_pose
+from learn2assemble.simulation.prepare import prepare, require_held, rest_pose
 from learn2assemble.simulation.rest import ShiftRule, check_rest
 from learn2assemble.simulation.simulation import BLIND, PUSH, Rules, Simulation, Trace
 from learn2assemble.simulation.trajectory import PathSamples, load_ruckig
+from learn2assemble.simulation.ways import WorldChecker
 
 LOADED_SPEED = 0.6
 """Share of the arm's speed that is used while the hand holds something."""

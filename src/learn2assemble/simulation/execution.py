@@ -38,13 +38,7 @@ from learn2assemble.simulation.model import (
     Order,
     SimulatedWorld,
 )
-from learn2assemble.simulation.prepare import (
-    Course,
-    WorldChecker,
-    free_way,
-    leaving,
-    rest_pose,
-)
+from learn2assemble.simulation.prepare import Course, leaving, rest_pose
 from learn2assemble.simulation.trajectory import (
     PathLimits,
     Segment,
@@ -53,6 +47,7 @@ from learn2assemble.simulation.trajectory import (
     motion,
     reachable_speed,
 )
+from learn2assemble.simulation.ways import WorldChecker, free_way
 
 LOOSE = 0.005
 """What is held may touch others while it is so near to where it stood or shall stand [m]."""
