@@ -239,13 +239,24 @@ def test_the_command_line_turns_a_plan_into_another(tmp_path, capsys):
     assert made.rebuilt.supplied <= needed <= made.rebuilt.placed
 
 
+def test_a_drawing_is_filled_with_the_blocks_of_the_old_structure() -> None:
+    kit = "bricks-lintels"
+    old, alone = (build(cells, kit=kit) for cells in (wall(4, 3), wall(8, 1, 5)))
+    new = build(wall(8, 1, 5), kit=kit, old=standing(old))
+    told, other = new.rebuilt, rebuild(standing(old), alone).rebuilt
+    assert told is not None
+    assert other is not None
+    assert (told.supplied, other.supplied) == (0, 1)
+    assert told.moves < other.moves
+
+
 @pytest.mark.parametrize(
     ("more", "said"),
     [
         (("--arm", "panda"), "to take apart"),
         (("--kit", "planks"), "kind of block"),
         (("--from", "new.npy"), "unknown format"),
-        (("--kit", "lego", "--cell", "8"), "cell"),
+        (("--kit", "lego", "--cell", "8"), "clutch"),
     ],
 )
 def test_what_has_no_way_from_one_to_the_other_is_one_line(

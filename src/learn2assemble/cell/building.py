@@ -95,6 +95,8 @@ class Building:
         self.job, self.kinematic, self.key, self.kept = found.job, found.cell, key, kept
         self.known = Choice(found.job, found.order, found.structure)
         self.log, self.recorded = workcell.log, workcell.physics == "dynamic"
+        self.seen = bool(workcell.site.cameras)
+        """Whether cameras look for blocks: the arm goes out of their sight then."""
         self.world = self.known.world
         arm = self.job.arm
         self.names = set(self.world.names)
@@ -228,8 +230,10 @@ class Building:
 
     def _following(self, k: int, source: int) -> np.ndarray | None:
         """float64[3]: from the top of a block that waits at a source to where the top of the next
-        one will be [m]; None where the arm does not fetch another one next, or somebody comes
-        near before."""
+        one will be [m]; None where the arm does not fetch another one next, stands in the sight of
+        cameras there, or somebody comes near before."""
+        if self.seen:
+            return None
         left = (s for s in self.known.order if s.block != k and not self.known.satisfied(s))
         step = next(left, None)
         if step is None or step.remove or step.group or step in self.known.by_hand:

@@ -9,6 +9,7 @@ out where one is named. The agent of the paper builds random problems of its tas
 from __future__ import annotations
 
 import inspect
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -126,7 +127,9 @@ def build(
             exists, the build goes on from it.
         old: a structure of dry blocks that stands already, or its file (:func:`~learn2assemble.
             assembly.files.read_assembly`): the plan begins with it and turns it into the design
-            with its own blocks (:func:`learn2assemble.planning.rebuild.rebuild`).
+            with its own blocks (:func:`learn2assemble.planning.rebuild.rebuild`): a drawing is
+            filled with those alone, with others of their kinds, or with any of the kit, whichever
+            takes the fewest moves.
         reading: how to read a file or an array: ``unit``, ``cell``, ``size``, ``up``, ``depth``,
             ``cells_wide``, ``repair``, ``colours``, see
             :class:`learn2assemble.design.reading.Reading`.
@@ -204,22 +207,22 @@ def build(
     workcell = None if how is None else how.workcell(has_studs(found, kit))
     if isinstance(found, CellDesign):
         kit = kit_of(found, kit)
+        props = supports != "none"
         if standing is not None:
-            _check_kit(standing, kit)
+            kits = _kits_from(kit, standing)
+            given["seconds"] = limit / len(kits)
+            tried = [cells_plan(found, one, None, props, choice, given) for one in kits]
+            return _rebuilt(standing, tried, limit, progress)
         if kit.joint.law == "clutch":
             plan = bricks_plan(found, kit, workcell, help_, choice, given)
         else:
-            plan = cells_plan(found, kit, workcell, supports != "none", choice, given)
+            plan = cells_plan(found, kit, workcell, props, choice, given)
     elif isinstance(found, Goals):
         plan = goals_plan(found, workcell, choice, given)
     else:
         plan = blocks_plan(found, workcell, help_, given)
         plan = replace(plan, design=replace(plan.design, source=source))
-    if standing is None:
-        return plan
-    from learn2assemble.planning.rebuild import rebuild
-
-    return rebuild(standing, plan, seconds=limit, progress=progress)
+    return plan if standing is None else _rebuilt(standing, [plan], limit, progress)
 
 
 def reach(
@@ -300,14 +303,39 @@ def _read_old(old: object) -> Assembly:
     return old
 
 
-def _check_kit(old: Assembly, kit: Kit) -> None:
-    """Refuse a standing structure of blocks that a kit has not."""
+def _kits_from(kit: Kit, old: Assembly) -> list[Kit]:
+    """Blocks that a design may be filled with where a structure stands already: those of that
+    alone, any number of its kinds, and all of the kit.
+
+    Raises:
+        InputError: for blocks that the kit has not, and for a kit that clutches.
+    """
+    if kit.joint.law == "clutch":
+        raise InputError("old structure", f"kit {kit.name}, whose bricks clutch", "dry blocks")
     names = [kind.name for kind in kit.kinds]
-    for block in old.finished.blocks:
-        if not block.support:
-            check_name(
-                f"old structure: kind of block {block.id} (kit {kit.name})", block.kind, names
-            )
+    there = [block for block in old.finished.blocks if not block.support]
+    for block in there:
+        where = f"old structure: kind of block {block.id} (kit {kit.name})"
+        check_name(where, block.kind, names)
+    count = Counter(block.kind for block in there)
+    own = replace(kit, kinds=tuple(replace(k, count=count[k.name]) for k in kit.kinds))
+    same = replace(kit, kinds=tuple(k for k in kit.kinds if count[k.name]))
+    return [own, same, kit]
+
+
+def _rebuilt(
+    old: Assembly, tried: list[Plan], seconds: float, progress: Callable[[str], None]
+) -> Plan:
+    """A structure turned into whichever plan takes the fewest moves."""
+    from learn2assemble.planning.rebuild import rebuild
+
+    plans = [plan for plan in tried if plan.complete] or tried[-1:]
+    limit = seconds / len(plans)
+    found = [rebuild(old, plan, seconds=limit, progress=progress) for plan in plans]
+    return min(
+        found,
+        key=lambda plan: (not plan.complete, 0 if plan.rebuilt is None else plan.rebuilt.moves),
+    )
 
 
 def _refuse(given: Mapping[str, Any], expected: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -95,7 +96,7 @@ def rebuild(
         kept=int(change.old.sum()) - len(set(taken)),
         taken=len(taken),
         placed=len(placed),
-        supplied=max(0, len(placed) - len(taken)),
+        supplied=(Counter(change.kind[placed]) - Counter(change.kind[taken])).total(),
     )
     return replace(
         told,
