@@ -82,6 +82,7 @@ _ALL = (
     Recipe("robot-two-sided-paper", _ROBOT_TWO, (RecipeStage("paper"),)),
     Recipe("robot-four-sided-paper", _ROBOT_FOUR, (RecipeStage("paper"),)),
     Recipe("robot-four-sided", _ROBOT_FOUR, (RecipeStage(), RecipeStage(changes=_AGAIN))),
+    Recipe("robot-objects-paper", _ROBOT_OBJECTS, (RecipeStage("paper"),)),
     _published("robot-objects", _ROBOT_OBJECTS),
     _published("robot-one-sided", "robot-one-sided-5x5-15-17", _SHORTER),
     _published("one-sided", "one-sided-5x5-15-17", _SHORTER),
