@@ -48,6 +48,7 @@ class Recipe:
 _CUBES, _LARGE = "two-sided-3x3-20-24", "two-sided-5x5-40-44"
 _ROBOT_TWO, _ROBOT_FOUR = "robot-two-sided-3x3-10-14", "robot-four-sided-3x3-10-18"
 _ROBOT_OBJECTS = "robot-objects-two-sided-5x5-20-24"
+_ROBOT_ONE = "robot-one-sided-5x5-15-17"
 _WALLS = "robot-walls-two-sided-5x5-26-30"
 _BARS, _OBJECTS = "bars-one-sided-5x5-25-27", "objects-two-sided-5x5-20-24"
 
@@ -83,8 +84,9 @@ _ALL = (
     Recipe("robot-four-sided-paper", _ROBOT_FOUR, (RecipeStage("paper"),)),
     Recipe("robot-four-sided", _ROBOT_FOUR, (RecipeStage(), RecipeStage(changes=_AGAIN))),
     Recipe("robot-objects-paper", _ROBOT_OBJECTS, (RecipeStage("paper"),)),
+    Recipe("robot-one-sided-paper", _ROBOT_ONE, (RecipeStage("paper"),)),
     _published("robot-objects", _ROBOT_OBJECTS),
-    _published("robot-one-sided", "robot-one-sided-5x5-15-17", _SHORTER),
+    _published("robot-one-sided", _ROBOT_ONE, _SHORTER),
     _published("one-sided", "one-sided-5x5-15-17", _SHORTER),
     Recipe("relational-cubes", _LARGE, (RecipeStage("relational", ("num_samples=120000",)),)),
     Recipe("relational-bars", _BARS, (RecipeStage("relational", (_SHORT,)),)),
