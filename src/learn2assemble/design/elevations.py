@@ -10,6 +10,7 @@ from learn2assemble.design import drawings
 from learn2assemble.design.cells import CellDesign, Origin, design_of
 from learn2assemble.design.drawings import SIDES, Contours, Drawing
 from learn2assemble.design.lattice import HALF, fit, shares
+from learn2assemble.design.lost import lost_features, lost_words
 from learn2assemble.design.reading import Extent, Lengths
 
 
@@ -33,6 +34,7 @@ def from_drawing(drawing: Drawing, origin: Origin) -> CellDesign:
     origins = _origins(boxes, drawing.placed)
     palette = sorted({colour for paints in drawing.paints.values() for _, colour in paints})
     pairs: list[_Walls] = []
+    lost = [origin.note] if origin.note else []
     for axis, (one, other) in enumerate((SIDES[:2], SIDES[2:])):
         names = [side for side in (one, other) if side in boxes]
 
@@ -43,18 +45,20 @@ def from_drawing(drawing: Drawing, origin: Origin) -> CellDesign:
             unit = (turn * cell[axis], cell[2])  # noqa: B023
             return [((c - origins[side]) * scale / unit)[::turn] for c in contours]
 
-        walls = [
-            np.concatenate([_prism(contour, k) for contour in seen(drawing.sides[side], side)])
-            for k, side in enumerate(names)
-        ]
+        walls: list[Contours] = [seen(drawing.sides[side], side) for side in names]
         if walls:
-            triangles = np.concatenate(walls)
+            triangles = _around(walls)
             points_ = triangles.reshape(-1, 3)
             ends = np.abs(points_[:, 0]).max() * 2 if drawing.placed else np.ptp(points_[:, 0])
             edges = np.array([cell[axis], cell[2]])
             drawn = np.array([ends, points_[:, 2].max()]) * edges / scale
             Extent(drawn, edges, source, drawing.placed).check(scale)
             share, first = fit(triangles, (0,))
+            found, finer = lost_features(
+                walls, lambda walls: fit(_around(walls), (0,)), (cell[axis], cell[2])
+            )
+            if found:
+                lost.append(lost_words(found, finer))
             tint = np.zeros(share.shape, np.int64)
             for k, side in enumerate(names):
                 paints = [
@@ -63,8 +67,8 @@ def from_drawing(drawing: Drawing, origin: Origin) -> CellDesign:
                 ]
                 tint[:, k] = _tints(paints, palette, first, (len(share), share.shape[2]))
             whole = [
-                np.concatenate([wall, _caps(seen(drawing.sides[side], side), k)])
-                for k, (side, wall) in enumerate(zip(names, walls, strict=True))
+                np.concatenate([*(_prism(contour, k) for contour in wall), _caps(wall, k)])
+                for k, wall in enumerate(walls)
             ]
             pairs.append(_Walls(axis, names, np.stack([share, tint]), first, whole))
     least = 3 if drawing.placed and len(boxes) > 2 else 1
@@ -76,7 +80,13 @@ def from_drawing(drawing: Drawing, origin: Origin) -> CellDesign:
             np.where(tint > 0, tint, common.argmax())
         ]
     thick = given.depth / (cell[1] * max(1, round(given.depth / cell[1]))) if given.depth else 1.0
-    origin = replace(origin, kit=kit, remedies=extent.remedies(), blocks=drawing.blocks)
+    origin = replace(
+        origin,
+        kit=kit,
+        remedies=extent.remedies(),
+        blocks=drawing.blocks,
+        note="; ".join(dict.fromkeys(lost)),
+    )
     return design_of(
         share,
         origin,
@@ -131,6 +141,12 @@ def _tints(
 def _prism(contour: np.ndarray, place: int) -> np.ndarray:
     """Walls of a contour (x, z) that is extruded from y = place to place + 1."""
     return upright(contour, np.roll(contour, -1, axis=0), place)
+
+
+def _around(walls: list[Contours]) -> np.ndarray:
+    """Triangles around walls one behind the other, but for those that face along y."""
+    prisms = [_prism(contour, k) for k, wall in enumerate(walls) for contour in wall]
+    return np.concatenate(prisms)
 
 
 def _caps(contours: Contours, place: int) -> np.ndarray:

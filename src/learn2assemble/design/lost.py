@@ -1,0 +1,150 @@
+"""What cells cannot show of a drawing: windows that vanish, teeth and piers that do.
+
+Cells take what is half full, so a window that lies across two cells can vanish although nearly all
+of the drawing is kept, and the share in common says nothing of it. Here the outline is compared
+with the cells as areas; what a cell does to a slope or a curve is thinner than what is called lost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from learn2assemble.assembly.appearance import millimetres
+from learn2assemble.design.lattice import HALF, MAX_CELLS
+
+if TYPE_CHECKING:
+    from shapely.geometry.base import BaseGeometry
+
+THICK = 0.35
+"""A piece in which a circle of this radius has room is a feature [cells]. What a straight edge
+leaves over at a cell that is just half full has room for 0.29 (cut from corner to corner), or 0.25
+(cut along a side)."""
+SLIT = 0.2
+"""A hole that vanishes altogether is one from this width on [cells]."""
+FINER = (2, 3, 4)
+"""Into so many parts the edges of a cell are divided to find one that keeps everything."""
+
+Contours = list[np.ndarray]
+Fitted = Callable[[list[Contours]], tuple[np.ndarray, np.ndarray]]
+"""Where walls lie on the lattice: their contours, each ``float64[V, 2]`` [cells], to the shares of
+the cells, ``float64[across, wall, high]``, and where the first cell begins, ``float64[3]``."""
+
+
+class Lost(NamedTuple):
+    """A feature of a drawing that its cells do not show."""
+
+    what: str
+    """``an opening``, or ``a part``."""
+    wide: float
+    """[m]"""
+    high: float
+    """[m]"""
+
+
+def lost_features(
+    walls: list[Contours], fitted: Fitted, edges: tuple[float, float]
+) -> tuple[list[Lost], tuple[float, float] | None]:
+    """What cells do not show of walls, the largest first, and edges of a cell that shows it.
+
+    Args:
+        walls: contours of each wall [cells]; counter-clockwise around material, clockwise around
+            holes.
+        fitted: how walls are laid on a lattice.
+        edges: of a cell, along the wall and up [m].
+
+    Returns:
+        The features, and the edges [m] of the largest of some finer cells with which none is lost;
+        None where all lose something, or nothing is lost.
+    """
+    found = _lost(walls, fitted, edges)
+    for parts in FINER if found else ():
+        finer = [[contour * parts for contour in wall] for wall in walls]
+        span = np.ptp(np.concatenate([c for wall in finer for c in wall]), axis=0)
+        smaller = edges[0] / parts, edges[1] / parts
+        if span.max() <= MAX_CELLS and not _lost(finer, fitted, smaller):
+            return found, smaller
+    return found, None
+
+
+def lost_words(found: list[Lost], finer: tuple[float, float] | None) -> str:
+    """One line, e.g. ``cells of 50 mm lose an opening of 50 × 100 mm; cells of 25 mm keep it``."""
+    kinds = {what: [one for one in found if one.what == what] for what in (_OPENING, _PART)}
+    words: list[str] = []
+    for what, ones in kinds.items():
+        if ones:
+            size = millimetres(ones[0].wide, ones[0].high)
+            many = f"{len(ones)} {what}s of up to {size}" if len(ones) > 1 else f"{what} of {size}"
+            words.append(many if len(ones) > 1 else f"{_ARTICLE[what]} {many}")
+    text = "not shown by the cells: " + ", ".join(words)
+    if finer is not None:
+        same = abs(finer[0] - finer[1]) < 1e-9
+        text += f"; shown by cells of {millimetres(*finer[:1] if same else finer)}"
+    return text
+
+
+_OPENING, _PART = "opening", "part"
+_ARTICLE = {_OPENING: "an", _PART: "a"}
+
+
+def _lost(walls: list[Contours], fitted: Fitted, edges: tuple[float, float]) -> list[Lost]:
+    share, first = fitted(walls)
+    scale = np.array(edges)
+    radius = THICK * min(edges)
+    found: list[Lost] = []
+    for k, contours in enumerate(walls):
+        drawn = _area([contour * scale for contour in contours])
+        cells = _cells(share[:, k] >= HALF, (first[0], first[2]), scale)
+        closed = [hole for hole in _holes(drawn, SLIT * min(edges)) if hole.within(cells)]
+        filled = [one for one in _features(cells - drawn, radius) if one.disjoint(_all(closed))]
+        for what, ones in (
+            (_OPENING, [*filled, *closed]),
+            (_PART, _features(drawn - cells, radius)),
+        ):
+            for one in ones:
+                low_x, low_z, high_x, high_z = one.bounds
+                found.append(Lost(what, high_x - low_x, high_z - low_z))
+    return sorted(found, key=lambda one: (-round(one.wide * one.high, 9), one.what))
+
+
+def _area(contours: Contours) -> Any:
+    """Material between contours."""
+    import shapely
+
+    # What holes take away is drawn after what they are in; islands in holes come once more.
+    area: BaseGeometry = shapely.Polygon()
+    for ring in contours:
+        area = area.symmetric_difference(shapely.Polygon(ring).buffer(0))
+    return area
+
+
+def _cells(wanted: np.ndarray, first: tuple[float, float], scale: np.ndarray) -> Any:
+    """Area of the cells bool[across, high] that are filled."""
+    import shapely
+
+    low = (np.argwhere(wanted) + np.array(first)) * scale
+    return shapely.union_all(shapely.box(*low.T, *(low + scale).T))
+
+
+def _all(areas: list[Any]) -> Any:
+    import shapely
+
+    return shapely.union_all(areas)
+
+
+def _holes(area: Any, least: float) -> list[Any]:
+    """What an area goes round, where it is at least so wide and high [m]."""
+    import shapely
+
+    rings = [ring for one in getattr(area, "geoms", [area]) for ring in one.interiors]
+    holes = [shapely.Polygon(ring) for ring in rings]
+    return [hole for hole in holes if min(np.subtract(hole.bounds[2:], hole.bounds[:2])) >= least]
+
+
+def _features(piece: Any, radius: float) -> list[Any]:
+    """The parts of an area in which a circle has room, each without its thin margins."""
+    core = piece.buffer(-radius, join_style="mitre")
+    ones = getattr(core, "geoms", [core])
+    return [one.buffer(radius, join_style="mitre") for one in ones if not one.is_empty]
