@@ -16,7 +16,8 @@ import numpy as np
 
 import learn2assemble as l2a
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
-from learn2assemble.assembly.instructions import corners_at, instructions
+from learn2assemble.assembly.instructions import instructions
+from learn2assemble.assembly.shapes import corners_at
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.export.cards import step_cards
 from learn2assemble.export.pdf import pdf
@@ -29,7 +30,8 @@ ALLOWED = 0.5e-3
 """[m]"""
 _NUMBER = r"(-?\d+(?:\.\d+)?)"
 _ROW = re.compile(
-    rf"(?<=\|)(\d+)\|(?:(?:place|remove|hold|release)\|)?([A-Z]+)\|{_NUMBER}\|{_NUMBER}\|{_NUMBER}\|"
+    rf"(?<=\|)(\d+(?:, \d+)*)\|(?:(?:place|remove|hold|release)\|)?([A-Z]+)\|{_NUMBER}\|{_NUMBER}\|"
+    rf"{_NUMBER}\|"
     r"((?:[xyz] -?[\d.]+° ?)+|0)(?=\|)"
 )
 _SHAPE = re.compile(
@@ -130,11 +132,12 @@ def read_back(text: str) -> dict[int, np.ndarray]:
         points = re.findall(r"\(([^)]*)\)", words)
         shapes[letter] = np.array([[float(v) for v in p.split(",")] for p in points]) / 1000
     found = {}
-    for number, letter, *at, words in _ROW.findall(text):
+    for numbers, letter, *at, words in _ROW.findall(text):
         angles = dict(re.findall(r"([xyz]) (-?[\d.]+)°", words))
         x, y, z = (float(angles.get(axis, 0)) for axis in "xyz")
         a, b, c = (float(v) / 1000 for v in at)
-        found[int(number)] = corners_at(shapes[letter], (a, b, c), (x, y, z))
+        corners = corners_at(shapes[letter], (a, b, c), (x, y, z))
+        found |= dict.fromkeys(map(int, numbers.split(", ")), corners)
     return found
 
 

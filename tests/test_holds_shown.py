@@ -24,7 +24,7 @@ from learn2assemble.assembly.instructions import instructions
 from learn2assemble.cli import main
 from learn2assemble.export.cards import step_cards
 from learn2assemble.export.formats import bill_of_blocks, export_assembly
-from learn2assemble.export.pictures import booklet
+from learn2assemble.export.pictures import Card, booklet
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.statics.proofs import BED
@@ -120,35 +120,79 @@ def test_a_block_that_is_never_let_go_is_held_to_the_end() -> None:
     page = render_assembly_page(assembly, title="x")
     assert '"holds":[[0,2,4]]' in page.replace(" ", "")
     assert "Still in a hand: a." in caption(page, 3)
-    assert [group.held for group in instructions(assembly).groups] == [set(), {0}, {0}]
+    assert [group.held for group in instructions(assembly).groups] == [{0}, {0}], (
+        "placed and held is one step"
+    )
+
+
+def cards_of(assembly: Assembly) -> dict[int, Card]:
+    """By the number of every step of the assembly, the card that tells it."""
+    book = booklet(assembly)
+    return {p.number: card for card in book.cards for p in card.group.placements}
 
 
 def test_cards_say_and_draw_what_a_hand_does() -> None:
     assembly = blocks_of("holds")
     hold, release = first(assembly, "hold"), first(assembly, "release")
-    cards = {card.group.placements[0].number: card for card in booklet(assembly).cards}
-    id_ = assembly.steps[hold - 1].block
-    step = next(k for k, s in enumerate(assembly.steps, 1) if s.place == id_)
-    [words] = cards[hold].words
-    assert words == f"Hold block {id_} of step {step} (a hand keeps it in its place)."
-    assert [use.mark for use in cards[hold].picture.outlines] == ["held"]
-    assert [use.colour for use in cards[hold].picture.outlines] == ["held"]
-    assert not cards[hold].wanted, "nothing is taken from the heap"
-    assert f"Still in a hand: {id_}." in cards[hold + 1].words[0]
-    assert "held" in {use.mark for use in cards[hold + 1].picture.outlines}
-    let_go = assembly.steps[release - 1].block
-    assert cards[release].words[0].startswith(f"Let go of block {let_go} of step ")
-    text = step_cards(assembly)
-    assert 'aria-label="Step' in text
+    cards = cards_of(assembly)
+    held, let_go = (assembly.steps[k - 1].block for k in (hold, release))
+    card = cards[hold]
+    assert assembly.steps[hold - 2].place == held
+    assert card is cards[hold - 1], "a block is placed and held in one step"
+    [words] = card.words
+    assert words.endswith(f" Place block {held} and hold it.")
+    [outline] = card.picture.outlines
+    assert outline.mark == "held"
+    assert outline.colour not in (None, "held"), "what is new keeps its colour"
+    assert len(card.wanted) == 1
+    assert [row[0] for row in card.rows] == [f"{hold - 1}, {hold}"]
+    words = cards[release].words[0]
+    new = next(p for p in cards[release].group.placements if p.action == "place")
+    id_ = assembly.blocks[new.block].id
+    placed = next(k for k, s in enumerate(assembly.steps, 1) if s.place == let_go)
+    assert words.endswith(
+        f"Place block {id_} and hold it; let go of block {let_go} of "
+        f"{cards[placed].heading.lower()}."
+    )
+    assert assembly.steps[-1].action == "release"
+    assert cards[len(assembly.steps)].group.held == frozenset()
+    assert 'aria-label="Step' in step_cards(assembly)
+
+
+def three(*steps: AssemblyStep) -> Assembly:
+    """A column of three blocks."""
+    blocks = tuple(box_block(name, (0, 0, k), (1, 1, k + 1)) for k, name in enumerate("abc"))
+    return Assembly(blocks, steps)
+
+
+def test_who_holds_another_block_does_so_for_the_next_one() -> None:
+    made = three(
+        AssemblyStep("a"),
+        AssemblyStep("b"),
+        AssemblyStep(hold="a"),
+        AssemblyStep("c"),
+        AssemblyStep(release="a"),
+    )
+    cards = booklet(made).cards
+    assert [[p.action for p in card.group.placements] for card in cards] == [
+        ["place"],
+        ["place"],
+        ["hold", "place", "release"],
+    ]
+    assert cards[2].words[0].endswith("Hold block a of step 1; place block c; let go of block a.")
+    marks = {use.mark for use in cards[2].picture.outlines}
+    assert marks == {"held", "new"}, "while it is done a is held"
+    assert not cards[2].group.held
+    text = step_cards(three(AssemblyStep("a"), AssemblyStep(hold="a", wait=24.0)))
+    assert "Wait 24 h first" in text, "time passes between two steps"
     assert "hold a block" in text
-    assert "let go of a block" in text
 
 
 def test_arrows_point_at_what_is_held_and_away_from_what_is_let_go() -> None:
     assembly = blocks_of("holds")
-    cards = {card.group.placements[0].number: card for card in booklet(assembly).cards}
+    cards = cards_of(assembly)
     for action, inward in (("hold", True), ("release", False)):
-        left, right = cards[first(assembly, action)].picture.arrows
+        *_, left, right = cards[first(assembly, action)].picture.arrows
         assert (left[0][0] < left[1][0]) == inward
         assert (right[0][0] > right[1][0]) == inward
 

@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from learn2assemble.assembly.blocks import Action
-from learn2assemble.assembly.instructions import BillLine, BlockShape, Instructions, Placement
+from learn2assemble.assembly.instructions import (
+    BillLine,
+    Group,
+    Instructions,
+    Placement,
+)
+from learn2assemble.assembly.shapes import BlockShape
 
 HEAD = ("No.", "Shape", "x", "y", "z", "Turn")
 """Of the table of what is placed, see :func:`placement_words`."""
@@ -98,14 +104,75 @@ def cut_list(told: Instructions) -> list[tuple[str, ...]]:
     return [words for words in map(cut_words, told.bill) if words]
 
 
-def block_words(told: Instructions, placement: Placement) -> str:
-    """A block that stands, e.g. ``block v3 of step 5``."""
-    step = next(
-        p.number
-        for p in reversed(told.placements[: placement.number])
-        if p.block == placement.block and p.action == "place"
-    )
-    return f"block {told.assembly.blocks[placement.block].id} of step {step}"
+def name_words(id_: str) -> str:
+    """A block by its id, e.g. ``block v3``, or ``block-10`` as that says what it is."""
+    return id_ if id_.lower().startswith("block") else f"block {id_}"
+
+
+def _block_words(told: Instructions, placement: Placement) -> str:
+    """A block that stands, with the step of the instructions that placed it, e.g. ``block v3 of
+    step 5``; of one that stood from the start, its name."""
+    name = name_words(told.assembly.blocks[placement.block].id)
+    steps = [
+        group.number
+        for group in told.groups
+        for p in group.placements
+        if p.block == placement.block and p.action == "place" and p.number < placement.number
+    ]
+    return f"{name} of step {steps[-1]}" if steps else name
+
+
+def done_words(told: Instructions, group: Group) -> str:
+    """What is done in a step of the instructions, in one sentence, e.g. ``Place block v3 and hold
+    it; let go of block v2 of step 5.``
+
+    Empty where blocks are placed and hands do nothing else, as tables tell that.
+    """
+    placed = [p for p in group.placements if p.action == "place"]
+    if len(placed) == len(group.placements):
+        return ""
+    clauses: list[tuple[str, list[str]]] = []
+    named: set[int] = set()
+    members = list(group.placements)
+    while members:
+        p = members.pop(0)
+        name = name_words(told.assembly.blocks[p.block].id)
+        what: str = p.action
+        if p.action == "place":
+            name = name if len(placed) == 1 else "the blocks"
+        elif p.action == "remove":
+            name = "the prop" if p.prop else name
+        elif clauses and clauses[-1] == ("place", [name]):
+            name = "it"
+        elif p.block not in named:
+            name = _block_words(told, p)
+        after = members[:1]
+        if told.in_order and [(q.block, q.action) for q in after] == [(p.block, "release")]:
+            # The hand that presses a brick home holds it meanwhile.
+            members.pop(0)
+            what = "press"
+        named.add(p.block)
+        if clauses and clauses[-1][0] == what:
+            clauses[-1][1].extend([name] * (name not in clauses[-1][1]))
+        else:
+            clauses.append((what, [name]))
+    text = ""
+    for what, names in clauses:
+        listed = " and ".join(names)
+        link = " and " if listed == "it" else "; "
+        text += f"{link * bool(text)}{_DONE[what].format(listed)}"
+    gone = any(p.action == "remove" for p in group.placements)
+    return f"{text[0].upper()}{text[1:]}." + " Nothing else may move." * gone
+
+
+_DONE = {
+    "place": "place {}",
+    "remove": "take {} away",
+    "hold": "hold {}",
+    "press": "hold {} level while it is pressed on",
+    "release": "let go of {}",
+}
+"""What is done with blocks."""
 
 
 def action_words(action: Action, block: str) -> str:
@@ -116,21 +183,26 @@ def action_words(action: Action, block: str) -> str:
 
 
 _WAYS = {
-    "below": "It comes from below and is pressed up.",
-    "beside": "It is built beside, with the blocks of the steps next to it, and brought with them.",
+    "below": "comes from below and is pressed up.",
+    "beside": "is built beside, with the blocks of the steps next to it, and brought with them.",
 }
 """What is said of a brick that does not come from above."""
 
 
-def hand_words(placement: Placement) -> str:
-    """What is said of a step that a person does while an arm waits, of a brick that does not come
-    from above, and of a step before which mortar has to hold; empty of any other."""
-    words = ["By hand, while the arm waits."] if placement.by_hand else []
+def before_words(placement: Placement) -> str:
+    """What is said of a step before which mortar has to hold, and of one that a person does while
+    an arm waits; empty of any other."""
+    words = []
     if placement.wait is not None:
         words.append(f"Wait {placement.wait:g} h first, until the mortar holds.")
-    if placement.way is not None:
-        words.append(_WAYS[placement.way])
+    if placement.by_hand:
+        words.append("By hand, while the arm waits.")
     return " ".join(words)
+
+
+def way_words(placement: Placement, name: str = "it") -> str:
+    """What is said of a brick that does not come from above, by a name; empty of any other."""
+    return "" if placement.way is None else f"{name[0].upper()}{name[1:]} {_WAYS[placement.way]}"
 
 
 def corner_words(shape: BlockShape) -> str:

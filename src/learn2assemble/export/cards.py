@@ -68,7 +68,7 @@ def _card(pen: _CardPen, card) -> str:
         for (shape, _), text in zip(card.group.wanted, card.wanted, strict=True)
     )
     part = f"<ul>{wanted}</ul>" if wanted else ""
-    label = f"{card.heading}: {', '.join(card.wanted) or _DONE[card.group.placements[0].action]}"
+    label = f"{card.heading}: {', '.join(card.wanted) or _DONE[card.group.main.action]}"
     return (
         f"<article><h3>{card.heading}</h3>{part}{words}{pen.draw(card.picture, label)}"
         f"{_table(HEAD, card.rows)}</article>"

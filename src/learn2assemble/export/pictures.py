@@ -9,24 +9,25 @@ import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.instruction_words import (
-    action_words,
+    before_words,
     bill_words,
-    block_words,
     corner_words,
     cut_list,
+    done_words,
     facts,
-    hand_words,
     length_words,
+    name_words,
     place_words,
     placement_words,
+    way_words,
 )
 from learn2assemble.assembly.instructions import (
-    BlockShape,
     Group,
     Instructions,
     Placement,
     instructions,
 )
+from learn2assemble.assembly.shapes import BlockShape
 from learn2assemble.export.projection import DrawnScene, Figure, project
 
 _WAYS = np.array([(0, 0, 1), (0, -1, 0), (-1, 0, 0), (1, 0, 0), (0, 1, 0)], float)
@@ -172,14 +173,17 @@ def _card(common: _Common, group: Group, standing: set[int]) -> Card:
     """
     told, scene, spacing, whole, layers, until, grids = common
     shown, all_ = scene.shown(group, standing)
-    marks: dict[int, Mark] = dict.fromkeys(group.held, "held")
-    colours = dict.fromkeys(group.held, "held")
+    marks: dict[int, Mark] = dict.fromkeys(group.in_hands, "held")
+    colours = dict.fromkeys(group.in_hands, "held")
     for p in group.placements:
         if p.action == "place":
-            colours[p.block], marks[p.block] = p.shape.colour, "new"
+            # What is new keeps its colour, and in a hand the outline of what is held.
+            colours[p.block] = p.shape.colour
+            marks.setdefault(p.block, "new")
         elif p.action == "remove":
             marks[p.block] = "gone"
-        elif p.action == "release":
+        elif group.main.action == "release" and p.block not in group.in_hands:
+            # Only where nothing else has a colour.
             colours[p.block] = p.shape.colour
     seen = shown | {p.block for p in group.placements} | group.held
     uses = tuple(
@@ -208,7 +212,7 @@ def _card(common: _Common, group: Group, standing: set[int]) -> Card:
         )
         x, y, w, d = (*(corner / told.extent[:2]), *(size / told.extent[:2]))
         place = (float(x), float(y), float(w), float(d))
-    arrows, labels = [], []
+    arrows, labels, told_of = [], [], set[int]()
     length = 1.2 * scene.usual
     for p in group.placements:
         low, high = scene.low[p.block], scene.high[p.block]
@@ -230,9 +234,12 @@ def _card(common: _Common, group: Group, standing: set[int]) -> Card:
             )
             labels.append((arrows[-1][0], str(p.number)))
         else:
-            arrows += _hands(scene, p, 0.6 * length)
-            labels.append((top + 0.1 * length * _UP, str(p.number)))
-    numbers = [p.number for p in group.placements]
+            # Of a block that is held and let go again, where hands take hold of it.
+            if p.action == "hold" or p.block not in group.in_hands:
+                arrows += _hands(scene, p, 0.6 * length)
+            if p.block not in told_of:
+                labels.append((top + 0.1 * length * _UP, str(p.number)))
+        told_of.add(p.block)
     wanted = tuple(f"{count} × {shape.letter} ({shape.kind})" for shape, count in group.wanted)
     picture = _framed(
         scene,
@@ -244,40 +251,46 @@ def _card(common: _Common, group: Group, standing: set[int]) -> Card:
         tuple(labels),
         place,
     )
-    words = _words(told, group, layers, until, numbers)
-    rows = tuple(placement_words(p) for p in group.placements)
+    words = _words(told, group, layers, until)
+    rows = tuple(_rows(group))
     return Card(f"Step {group.number}", words, wanted, rows, picture, group)
 
 
-def _words(
-    told: Instructions, group: Group, layers: int, until: dict[int, int], numbers: list[int]
-) -> tuple[str, ...]:
-    first = group.placements[0]
+def _words(told: Instructions, group: Group, layers: int, until: dict[int, int]) -> tuple[str, ...]:
+    main = group.main
     words = []
     if group.first:
         words.append(
             f"Layer {group.layer} of {layers}, from {length_words(group.level)} mm up. Block "
-            f"{numbers[0]}: {place_words(first)}."
+            f"{main.number}: {place_words(main)}."
         )
-    if told_of := hand_words(first):
-        words.append(told_of)
-    if first.action == "remove":
-        what = "the prop" if first.prop else f"block {told.assembly.blocks[first.block].id}"
-        words.append(f"Take {what} away; nothing else may move.")
-        after = told.placements[first.number : first.number + 1]
-        if [(p.shape, p.action) for p in after] == [(first.shape, "place")] and not first.prop:
+    done = done_words(told, group)
+    words += [*map(before_words, group.placements), done]
+    name = name_words(told.assembly.blocks[main.block].id) if done else "it"
+    words.append(way_words(main, name))
+    after = told.placements[main.number : main.number + 1]
+    if main.action == "remove":
+        if [(p.shape, p.action) for p in after] == [(main.shape, "place")] and not main.prop:
             words.append("It goes to its new place in the next step.")
-    elif first.action != "place":
-        words.append(f"{action_words(first.action, block_words(told, first))}.")
-    elif first.prop:
-        end = f" until step {until[first.block]}" if first.block in until else ""
+    elif main.prop and main.action == "place":
+        end = f" until step {until[main.block]}" if main.block in until else ""
         words.append(f"A prop: it stands only for a while{end}.")
-    if len(numbers) > 1:
+    if len([p for p in group.placements if p.action == "place"]) > 1:
         words.append("In the order of their numbers." if told.in_order else "In any order.")
     others = sorted(group.held - {p.block for p in group.placements})
     if others:
         words.append(f"Still in a hand: {', '.join(told.assembly.blocks[k].id for k in others)}.")
-    return (" ".join(words),) if words else ()
+    text = " ".join(filter(None, words))
+    return (text,) if text else ()
+
+
+def _rows(group: Group) -> list[tuple[str, ...]]:
+    """A line for every block of a step, with the numbers of all that is done with it."""
+    numbers: dict[int, list[str]] = {}
+    for p in group.placements:
+        numbers.setdefault(p.block, []).append(str(p.number))
+    told = {p.block: placement_words(p) for p in reversed(group.placements)}
+    return [(", ".join(of), *told[block][1:]) for block, of in numbers.items()]
 
 
 def _hands(

@@ -17,14 +17,16 @@ from learn2assemble.assembly.instruction_words import (
     BILL_HEAD,
     CUT_HEAD,
     action_words,
+    before_words,
     bill_words,
     corner_words,
     count_words,
     cut_list,
     extent_words,
-    hand_words,
+    name_words,
     place_words,
     placement_words,
+    way_words,
 )
 from learn2assemble.assembly.instructions import Instructions, Placement
 from learn2assemble.constants import GRAVITY
@@ -104,9 +106,9 @@ class Noted(NamedTuple):
             done = "Place" if self.action == "place" else away
             text = f"{done} {name}, layer {part.layer + 1}."
         else:
-            text = f"{action_words(self.action, f'block {part.block.id}')}."
-        if told := hand_words(self.placement):
-            text += f" {told}"
+            text = f"{action_words(self.action, name_words(part.block.id))}."
+        for told in (before_words(self.placement), way_words(self.placement)):
+            text += f" {told}" * bool(told)
         if self.held:
             text += f" Still in a hand: {', '.join(self.held)}."
         if note.proof:
