@@ -15,6 +15,7 @@ from learn2assemble.registry import add_plugin
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block, hull_block
     from learn2assemble.assembly.files import read_assembly, write_assembly
+    from learn2assemble.assembly.hands import Hand
     from learn2assemble.assembly.kit import Kind, Kit, load_kit
     from learn2assemble.cell.calibrate import calibrate
     from learn2assemble.cell.site import Site
@@ -48,6 +49,7 @@ __version__ = "0.1.0"
 
 _HOME = {
     "assembly.blocks": "Assembly AssemblyStep Block box_block hull_block",
+    "assembly.hands": "Hand",
     "assembly.files": "read_assembly write_assembly",
     "assembly.kit": "Kind Kit load_kit",
     "design.cells": "CellDesign",
@@ -95,6 +97,7 @@ __all__ = [
     "Check",
     "Evaluation",
     "Goals",
+    "Hand",
     "InputError",
     "Kind",
     "Kit",

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from learn2assemble.assembly.hands import Hand
 from learn2assemble.assembly.joints import (
     DRY,
     MOST_AGE,
@@ -162,6 +163,8 @@ class AssemblyStep:
         way: of a brick that clutches and does not come from above: ``"below"``; ``"beside"``, it
             is built on another one beside, and brought with it.
         wait: hours that one waits before the step, until the mortar of all that stands holds.
+        hand: of a step that holds, what the hand can give; without it, it bears any load.
+        arm: the arm that does it, where there are several.
     """
 
     place: str | None = None
@@ -171,6 +174,8 @@ class AssemblyStep:
     by_hand: bool | None = None
     way: Literal["below", "beside"] | None = None
     wait: float | None = None
+    hand: Hand | None = None
+    arm: str | None = None
 
     def __post_init__(self) -> None:
         given = [self.place, self.remove, self.hold, self.release]
@@ -181,6 +186,8 @@ class AssemblyStep:
             check_name("step: way", self.way, ("below", "beside"))
         if self.wait is not None and not is_number(self.wait, 0.0, MOST_AGE):
             raise InputError("step: wait", self.wait, f"0 to {MOST_AGE:g} h")
+        if self.hand is not None and self.hold is None:
+            raise InputError("step: hand", f"a step that does {self.action}", "a step that holds")
 
     @property
     def action(self) -> Action:

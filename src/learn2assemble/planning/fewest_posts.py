@@ -44,7 +44,7 @@ def fewest_posts(rules: Forward, clock: Clock) -> list[Doing] | None:
         if not any(rules.missing(state)):
             return list(path)
         for done in _next(rules, state):
-            after = state.change(**{done.action: [done.block]})
+            after = done.after(state)
             if after.key not in seen:
                 more = done.action == "place" and done.block >= rules.count
                 left = sum(rules.missing(after))
@@ -71,7 +71,7 @@ def _next(rules: Forward, state: State) -> Iterator[Doing]:
 
 def _proven(rules: Forward, state: State, done: Doing) -> bool:
     """Whether the last step to a state can be done, and all stands and rests after it."""
-    action, block, _ = done
+    action, block, *_ = done
     if not rules.site.ways.free(block, state.present):
         return False
     if action == "remove":

@@ -11,12 +11,13 @@ each new block rests without being squeezed in.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from itertools import combinations
+from dataclasses import dataclass, field
+from itertools import combinations, islice
 from typing import Protocol
 
 import numpy as np
 
+from learn2assemble.planning.crew import ANYHOW, Anybody, Crew, Grip
 from learn2assemble.planning.posts import Post
 from learn2assemble.planning.sequence import WAIT, Doing, FoundOrder, Transition
 from learn2assemble.statics.laws import Law
@@ -54,6 +55,7 @@ class BuildingSite:
         mortar: whether one may wait until joints hold.
         onward: whether the block that comes next is looked for behind the last one, not again from
             below.
+        crew: who brings blocks and holds them.
     """
 
     fixed: np.ndarray
@@ -65,6 +67,7 @@ class BuildingSite:
     ways: Ways
     mortar: bool = False
     onward: bool = False
+    crew: Crew = field(default_factory=Anybody)
 
 
 class Forward:
@@ -125,7 +128,8 @@ class Forward:
             self._known[b"".join(parts)] = found
         more = np.zeros(len(self.posts), bool)
         cured = None if state.cured is None else np.append(state.cured, more)
-        whole = State(np.append(state.present, more), np.append(state.held, more), cured)
+        present, held = np.append(state.present, more), np.append(state.held, more)
+        whole = State(present, held, cured, state.hands)
         number = self.law(whole)
         if number is not None:
             self.laws[number].stands(whole)
@@ -234,7 +238,8 @@ class Forward:
         # What stands there stays: these may be dead ends, as far as straight ways tell.
         for b in closing:
             if self.stands(after := state.change(place=[b]), [b]):
-                yield Transition((Doing("place", b),), after, last.gone)
+                for step in self._comes(b, state):
+                    yield Transition((step,), after, last.gone)
 
     def _waiting(self, last: Transition) -> Iterator[Transition]:
         """A wait until mortar holds, where some of it is young."""
@@ -262,17 +267,19 @@ class Forward:
         order = sorted([*ready, *beside], key=lambda b: (b not in close, b in beside, rank[b]))
         for size in range(self.holds + 1):
             for b in order:
-                taken = state.change(place=[b], hold=[b])
-                if not self.stands(taken):
-                    continue
-                for keep in combinations([b, *held], size):
-                    gone = [h for h in (b, *held) if h not in keep]
-                    after = taken.change(release=gone)
-                    if self.stands(after, gone):
-                        steps = [Doing("place", b), Doing("hold", b)]
-                        steps += [Doing("release", h) for h in gone]
-                        yield Transition(tuple(steps), after, last.gone)
-                        break
+                for arm, hand in self.site.crew.grips(b, state):
+                    hold = Doing("hold", b, None, arm, hand)
+                    taken = hold.after(state.change(place=[b]))
+                    if not self.stands(taken):
+                        continue
+                    for keep in combinations([b, *held], size):
+                        gone = [h for h in (b, *held) if h not in keep]
+                        after = taken.change(release=gone)
+                        if self.stands(after, gone):
+                            steps = [Doing("place", b, None, arm), hold]
+                            steps += [_let_go(h, taken) for h in gone]
+                            yield Transition(tuple(steps), after, last.gone)
+                            break
 
     def _posted(self, last: Transition, ready: list[int], again: bool) -> Iterator[Transition]:
         """A block with posts under what would move with it; ``again`` as of :meth:`_with`."""
@@ -309,15 +316,28 @@ class Forward:
                 return
             if not (self.site.ways.free(p, after.present) and self.stands(after, (), most)):
                 return
-            steps.append(Doing("place", p))
+            steps += list(self._comes(p, state))
             state = after
         after = state.change(place=[block])
         comes = any(law.rests(after, block) for law in self.laws)
         comes = comes and self.site.ways.free(block, state.present)
         if comes and self.stands(after, [block], most):
-            yield Transition((*steps, Doing("place", block)), after, last.gone)
+            for step in self._comes(block, state):
+                yield Transition((*steps, step), after, last.gone)
         elif most is None:
             self._failed.add(key)
+
+    def _comes(self, block: int, state: State) -> Iterator[Doing]:
+        """The step in which a block comes that is not held, by the first who can; a prop that
+        nobody can bring is placed by hand."""
+        some = [ANYHOW] if self.site.prop[block] else []
+        for grip in (*islice(self.site.crew.grips(block, state), 1), *some)[:1]:
+            yield Doing("place", block, None, grip.arm)
+
+    def _goes(self, block: int, state: State) -> Doing:
+        """The step in which a prop is taken away, by the first who can, else by hand."""
+        grip: Grip = next(self.site.crew.takes(block, state), ANYHOW)
+        return Doing("remove", block, None, grip.arm)
 
     # ------------------------------------------------------------ what goes again
 
@@ -334,7 +354,7 @@ class Forward:
             for b in np.flatnonzero(state.held).tolist():
                 after = state.change(release=[b])
                 if self.stands(after, [b]):
-                    steps.append(Doing("release", b))
+                    steps.append(_let_go(b, state))
                     state, again = after, True
             taken, state = self._taken(state, some, False)
             if last and not taken:
@@ -360,7 +380,7 @@ class Forward:
             carried = [n for n in self.site.near[p] if state.present[n] and not self.site.fixed[n]]
             most = None if sure else self.law(state)
             if self.stands(after, carried, most) and self.site.ways.free(p, state.present):
-                steps.append(Doing("remove", p))
+                steps.append(self._goes(p, state))
                 state = after
                 if sure:
                     break  # What is near this state is looked at first again.
@@ -416,5 +436,12 @@ class Forward:
         gone = last.gone | self._own(steps)
         after = state.change(place=[block])
         if not state.present[walled].any() and self.stands(after, [block]):
-            steps, state = [*steps, Doing("place", block)], after
+            for step in self._comes(block, state):
+                steps, state = [*steps, step], after
         yield Transition(tuple(steps), state, gone)
+
+
+def _let_go(block: int, state: State) -> Doing:
+    """The step in which the hand that holds a block lets it go."""
+    hand = state.hands.get(block)
+    return Doing("release", block, None, hand.name or None if hand is not None else None)

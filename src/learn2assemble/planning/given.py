@@ -40,7 +40,7 @@ def plan_assembly(
     *,
     friction: Bounds = None,
     gap: Bounds = None,
-    supports: str = "auto",
+    supports: str | Supports = "auto",
     holds: int = 0,
     hands: bool = False,
     seconds: float = 60.0,
@@ -60,7 +60,8 @@ def plan_assembly(
             carry nothing, nor do edges and points, and every bed face is taken to be smaller by
             half of it on all sides. Without it, side faces press where the file has them touch.
         supports: ``"none"``; ``"posts"`` places posts where nothing else helps, and so does
-            ``"auto"``, of at most ten blocks the fewest.
+            ``"auto"``, of at most ten blocks the fewest; or all that may help, with who builds, in
+            place of the next two.
         holds: how many blocks may be held by a hand while the next one comes; a hand is preferred
             to a post.
         hands: of bricks that clutch, whether they may come from below, and several as one; a hand
@@ -76,18 +77,22 @@ def plan_assembly(
             joints wider than the blocks, and for supports that are none.
     """
     started = time.perf_counter()
-    if supports not in ("auto", "none", "posts"):
+    if not isinstance(supports, Supports) and supports not in ("auto", "none", "posts"):
         raise InputError("supports", supports, "auto, none or posts: given blocks have no kit")
     if not is_whole(holds, 0, MOST_HOLDS):
         raise InputError("holds", holds, f"a whole number from 0 to {MOST_HOLDS}")
+    help_ = supports
+    if not isinstance(help_, Supports):
+        help_ = Supports(help_ != "none", holds, hands=hands, fewest=help_ == "auto")
     if any(joint.law == "clutch" for joint in assembly.laws if joint.holds):
         if gap is not None or supports == "posts":
             got = "a gap" if gap is not None else "posts"
             raise InputError("bricks that clutch", got, "hands and holds alone to help them")
-        help_ = Supports(holds=max(holds, 1) if hands else holds, hands=hands)
+        least = max(help_.holds, 1) if help_.hands else help_.holds
+        help_ = Supports(holds=least, hands=help_.hands)
         return plan_bricks(assembly, help_, Clock(seconds), progress)
-    if hands:
-        raise InputError("hands", hands, "bricks that clutch (a kit such as lego)")
+    if help_.hands:
+        raise InputError("hands", True, "bricks that clutch (a kit such as lego)")
     check_overlaps(assembly)
     ends = value_range(friction, assembly.friction, "friction")
     widest = value_range(gap, 0.0, "gap")[1]
@@ -98,7 +103,6 @@ def plan_assembly(
     mortar = assembly.holds and not widest
     problem = OrderProblem(assembly, layers, tuple(sorted(set(ends))), mortar=mortar)
     clock = Clock(seconds)
-    help_ = Supports(supports != "none", holds, fewest=supports == "auto")
     if assembly.steps:
         found = follow_steps(problem, clock, progress)
     else:
@@ -162,9 +166,9 @@ def _advised(
     """What was not found, with what would help, which is tried first."""
     if not found.steps or clock.left <= 0:
         pass
-    elif not supports.posts and _completes(problem, Supports(True, supports.holds), clock):
+    elif not supports.posts and _completes(problem, replace(supports, posts=True), clock):
         return replace(found, reason=f"{found.reason}; posts would help: with posts it is built")
-    elif supports.holds == 0 and _completes(problem, Supports(False, 1), clock):
+    elif supports.holds == 0 and _completes(problem, Supports(holds=1), clock):
         return replace(
             found,
             reason=f"{found.reason}; a hold would help: with one block held at a time it is built",

@@ -47,7 +47,7 @@ def plan_of(
         way = None if step.way == "above" else step.way
         done: dict[str, Any] = {step.action: block.id}
         wait = assembly.age if step.wait else None
-        made.append(AssemblyStep(**done, way=way, wait=wait))
+        made.append(AssemblyStep(**done, way=way, wait=wait, hand=step.hand, arm=step.arm))
         steps.append(
             replace(
                 plans.block_step(number, step.block, block, step.action, covered).with_proof(
@@ -55,6 +55,7 @@ def plan_of(
                 ),
                 way=step.way,
                 wait_h=wait,
+                arm=step.arm,
                 margin_n=None if step.margin_n is None else round(step.margin_n, 6),
             )
         )

@@ -28,6 +28,7 @@ from learn2assemble.planning.sequence import (
     Sequenced,
     Supports,
     depth_first,
+    held_at_once,
     list_ids,
     reported,
 )
@@ -116,20 +117,21 @@ def follow_steps(
     steps: list[Doing] = []
     for step in problem.assembly.steps:
         cures = step.wait is not None and step.wait >= problem.assembly.age
-        steps += [WAIT] * cures + [Doing(step.action, index(step.block))]
+        done = Doing(step.action, index(step.block), None, step.arm, step.hand)
+        steps += [WAIT] * cures + [done]
     state, proven, stuck = order.rules.start, 0, ()
-    for number, (action, block, _) in enumerate(steps):
-        state = state.change(**{action: [block]})
-        if action == "wait":
+    for number, step in enumerate(steps):
+        state = step.after(state)
+        if step.action == "wait":
             continue
         # A block that is held at once is not let go before.
-        ahead = steps[number + 1 : number + 2] == [Doing("hold", block)]
-        new = [block] if action in ("place", "release") and not ahead else []
+        ahead = held_at_once(steps, number) is not None
+        new = [step.block] if step.action in ("place", "release") and not ahead else []
         if clock.left <= 0 or not (ahead or order.rules.stands(state, new)):
-            stuck = (block,)
+            stuck = (step.block,)
             break
         proven = number + 1
-        progress(f"step {proven}: {order.blocks[block].id}")
+        progress(f"step {proven}: {order.blocks[step.block].id}")
     return order.sequenced(_Steps(steps[:proven], stuck, not stuck))
 
 
@@ -161,7 +163,8 @@ class _DryOrder:
             own = find_contacts(whole)
             own = own.only((own.b >= count) & (own.a < count))
             layers = tuple(one._replace(contacts=_joined(one.contacts, own)) for one in layers)
-        self.rules = Forward(site_of(problem, whole, layers, clock), posts)
+        site = site_of(problem, whole, layers, clock)
+        self.rules = Forward(replace(site, crew=supports.crew(whole.blocks)), posts)
 
     def run(self) -> _Steps:
         """The first complete order that is found, or the longest one."""
@@ -202,8 +205,8 @@ class _DryOrder:
     def after(self, steps: Sequence[Doing]) -> State:
         """The state that some steps end in."""
         state = self.rules.start
-        for action, block, _ in steps:
-            state = state.change(**{action: [block]})
+        for step in steps:
+            state = step.after(state)
         return state
 
     def _why(self, present: np.ndarray, stuck: tuple[int, ...]) -> str:

@@ -178,6 +178,8 @@ class Step:
     attached with it when that is released."""
     wait_h: Annotated[float, Range(0, 1e6)] | None = None
     """Hours that one waits before the step, until the mortar of all that stands holds."""
+    arm: str | None = None
+    """Which of several arms does it."""
 
     def with_proof(self, proof: str, margin_g: float | None) -> Step:
         """The step with this proof and this margin [g]; None: none is known."""

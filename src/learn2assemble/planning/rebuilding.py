@@ -48,7 +48,7 @@ class Rebuilt:
 def count_moves(steps: tuple[Doing, ...], kind: np.ndarray) -> int:
     """Moves of an order: takings and placings, less the blocks that go straight to a new place."""
     moves, hand = 0, -1
-    for action, block, _ in steps:
+    for action, block, *_ in steps:
         direct = action == "place" and hand == kind[block]
         moves += not direct
         hand = int(kind[block]) if action == "remove" else -1
@@ -244,7 +244,7 @@ class _Beam:
 
     def _proven(self, order: _PartialOrder, falling: set[int]) -> bool:
         assert order.step is not None
-        action, block, _ = order.step
+        action, block, *_ = order.step
         present = np.zeros(len(self.change.blocks), bool)
         present[list(self._there(order))] = True
         state = State(present, np.zeros(len(present), bool))

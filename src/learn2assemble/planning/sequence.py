@@ -12,11 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Generic, Literal, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, Literal, NamedTuple, Protocol, TypeVar
 
 from learn2assemble.assembly.blocks import Action as BlockAction
 from learn2assemble.assembly.blocks import Block
+from learn2assemble.assembly.hands import Hand
 from learn2assemble.linear_programs import Clock
+from learn2assemble.planning.crew import CrewOf, anybody
 from learn2assemble.progress import Detail
 from learn2assemble.statics.laws import Law
 from learn2assemble.statics.states import State
@@ -30,11 +32,21 @@ _FEW = 10
 
 
 class Doing(NamedTuple):
-    """What is done to which block, and of a brick, whence it comes."""
+    """What is done to which block."""
 
     action: Action
     block: int
     way: Way | None = None
+    """Of a brick: whence it comes."""
+    arm: str | None = None
+    """Which arm does it, where there are several."""
+    hand: Hand | None = None
+    """Of a block that is held: what the hand can give; without it, it bears any load."""
+
+    def after(self, state: State) -> State:
+        """The state behind it."""
+        what: dict[str, Any] = {self.action: [self.block], "hand": self.hand}
+        return state.change(**what)
 
 
 WAIT = Doing("wait", -1)
@@ -47,12 +59,14 @@ class Supports:
     Attributes:
         posts: whether posts may be placed.
         holds: how many blocks may be held meanwhile.
+        crew: who brings and holds them, given the blocks.
         hands: of bricks that clutch, whether they may come from below, and several as one.
         fewest: whether a few blocks get the fewest posts, which may be wide ones.
     """
 
     posts: bool = False
     holds: int = 0
+    crew: CrewOf = anybody
     hands: bool = False
     fewest: bool = False
 
@@ -80,6 +94,10 @@ class SequenceStep(NamedTuple):
     """Whether one waits before it until the mortar of all that is there holds."""
     margin_n: float | None = None
     """Of bricks that clutch, what a contact point can pull more than it needs to [N]."""
+    arm: str | None = None
+    """Which arm does it, where there are several."""
+    hand: Hand | None = None
+    """Of a block that is held: what the hand can give; without it, it bears any load."""
 
 
 @dataclass(frozen=True)
@@ -179,18 +197,27 @@ def reported(
         by: the number of the law by which a state stands.
     """
     state, wait = start, False
-    for number, (action, block, way) in enumerate(steps):
-        state = shown = state.change(**{action: [block]})
-        if action == "wait":
+    for number, step in enumerate(steps):
+        state = shown = step.after(state)
+        if step.action == "wait":
             wait = True
             continue
-        if steps[number + 1 : number + 2] == [Doing("hold", block)]:
-            shown = state.change(hold=[block])  # The hand that placed it has it still.
+        if holds := held_at_once(steps, number):
+            shown = holds.after(state)  # The hand that placed it has it still.
         law = by(shown)
         assert law is not None
         proof, margin_g, margin_n = laws[law].report(shown)
-        yield SequenceStep(action, block, proof, margin_g, way, wait, margin_n)
+        told = SequenceStep(step.action, step.block, proof, margin_g, step.way, wait, margin_n)
+        yield told._replace(arm=step.arm, hand=step.hand)
         wait = False
+
+
+def held_at_once(steps: Sequence[Doing], number: int) -> Doing | None:
+    """The step behind one, where it holds the same block."""
+    for ahead in steps[number + 1 : number + 2]:
+        if ahead.action == "hold" and ahead.block == steps[number].block:
+            return ahead
+    return None
 
 
 def list_ids(blocks: Sequence[Block], some: Iterable[int]) -> str:

@@ -19,7 +19,7 @@ Inside, lengths are in edges of a median block and forces in mean weights of a b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
@@ -29,9 +29,11 @@ import scipy.sparse as sp
 
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.contacts import Contacts, across
+from learn2assemble.assembly.hands import Hand
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError, Learn2AssembleError
 from learn2assemble.statics.elastic_joints import Joined
+from learn2assemble.statics.hands import NO_HANDS, hand_columns, held_blocks
 
 _conic: Any = clarabel
 """A compiled module without types."""
@@ -84,6 +86,7 @@ class System:
         contacts: Contacts,
         present: np.ndarray | None = None,
         held: np.ndarray | None = None,
+        hands: Mapping[int, Hand] = NO_HANDS,
     ) -> None:
         blocks = assembly.blocks
         there = np.ones(len(blocks), bool) if present is None else np.asarray(present, bool)
@@ -93,7 +96,10 @@ class System:
         self._on = on[contacts.patch]
         contacts = contacts if on.all() else contacts.only(on)
         free = there & ~np.array([block.support for block in blocks])
-        free &= True if held is None else ~held
+        if held is not None:
+            rigid = held.copy()
+            rigid[list(hands)] = False
+            free &= ~rigid
         self.free = np.flatnonzero(free)
         self.count, self.corners = len(self.free), len(contacts.points)
         number = np.cumsum(free) - 1
@@ -125,6 +131,10 @@ class System:
             if self.count:
                 wrench[:] = _wrenches(points - centre[body], sign * frame, reach[body])
         self.balance = self._balance()
+        row = np.where(free, number, -1)
+        every = np.zeros((len(blocks), 4))
+        every[self.free, :3], every[self.free, 3] = centre, reach
+        self.held = held_blocks(hands, row, every[:, :3], self._newton, every[:, 3])
         weight = np.zeros((self.count, 6))
         weight[:, 2] = self.mass
         self.weight = weight.reshape(-1)
@@ -147,7 +157,7 @@ class System:
     @cached_property
     def joined(self) -> Joined:
         """The joints as springs."""
-        return Joined(self._bodies, self._wrench, 1 / self._soft, self.mass)
+        return Joined(self._bodies, self._wrench, 1 / self._soft, self.mass, self.held)
 
     def excess(self, held: np.ndarray) -> float:
         """Holding forces in what is taken for rounding."""
@@ -236,19 +246,24 @@ class System:
             signs: of the constraint ``limits - signs @ forces`` in the cones ``parts``.
         """
         count, corners = self.count, 3 * self.corners
-        energy = sp.diags(np.concatenate([soft, np.zeros(7 * count)]))
-        cost = np.concatenate([np.zeros(corners + 6 * count), np.full(count, price)])
+        does, limited, most = hand_columns(self.held, count)
+        more = 6 * len(self.held)
+        energy = sp.diags(np.concatenate([soft, np.zeros(7 * count + more)]))
+        price_of = np.zeros(corners + 6 * count), np.full(count, price), np.zeros(more)
+        cost = np.concatenate(price_of)
         held, norm = (
             sp.kron(sp.identity(count), -part) for part in (np.eye(7, 6, -1), np.eye(7, 1))
         )
         rows = [
-            [self.balance, sp.identity(6 * count), None],
-            [signs, None, None],
-            [None, held, norm],
+            [self.balance, sp.identity(6 * count), None, does],
+            [signs, None, None, None],
+            [None, held, norm, None],
+            [None, None, None, limited],
         ]
-        matrix = sp.bmat(rows).tocsc()
-        bound = np.concatenate([self.weight, limits, np.zeros(7 * count)])
+        matrix = sp.bmat(rows if more else [row[:3] for row in rows[:3]]).tocsc()
+        bound = np.concatenate([self.weight, limits, np.zeros(7 * count), most])
         cones = [_conic.ZeroConeT(6 * count), *parts, *[_conic.SecondOrderConeT(7)] * count]
+        cones += [_conic.NonnegativeConeT(len(most))] * bool(more)
         answer = _run(energy, cost, matrix, bound, cones)
         if answer is None:
             raise Learn2AssembleError("equilibrium program: the solver stopped without a solution")
@@ -295,9 +310,10 @@ class System:
         which no other passes; None where nothing is held.
 
         It solves the dual, which is smaller: of all motions that friction holds back nowhere and
-        on which a load does work as the direction tells, the one that lifts the weight least.
+        on which a load does work as the direction tells, the one that lifts the weight least, and
+        works least against hands, which hold back what their bounds allow.
         """
-        corners, count = self.corners, 6 * self.count
+        corners = self.corners
         moves = (sp.diags(np.tile([1.0, friction, friction], corners)) @ self.balance.T).tocsr()
         if friction > 0:
             cones = [_conic.SecondOrderConeT(3)] * corners
@@ -307,18 +323,23 @@ class System:
         load = np.zeros((self.count, 6, 2))
         load[:, 0, 0] = load[:, 1, 1] = self.mass
         # Work that is left over costs what the largest load would do.
+        does, limited, most = hand_columns(self.held, self.count)
         rows = [
-            [sp.csr_matrix(load.reshape(-1, 2).T), sp.identity(2), None],
-            [-moves, None, None],
-            [None, None, -sp.identity(1)],
-            [None, -sp.identity(2), None],
+            [sp.csr_matrix(load.reshape(-1, 2).T), sp.identity(2), None, None],
+            [-moves, None, None, None],
+            [None, None, -sp.identity(1), None],
+            [None, -sp.identity(2), None, None],
+            [does.T, None, None, limited.T],
+            [None, None, None, -sp.identity(len(most))],
         ]
-        matrix = sp.bmat(rows).tocsc()
+        matrix = sp.bmat(rows if len(most) else [row[:3] for row in rows[:4]]).tocsc()
         cones = [_conic.ZeroConeT(2), *cones, _conic.SecondOrderConeT(3)]
-        cost = np.concatenate([self.weight, np.zeros(2), [MOST_G]])
-        energy = sp.csc_matrix((count + 3, count + 3))
+        if len(most):
+            cones += [_conic.ZeroConeT(6 * len(self.held)), _conic.NonnegativeConeT(len(most))]
+        cost = np.concatenate([self.weight, np.zeros(2), [MOST_G], most])
+        energy = sp.csc_matrix((len(cost), len(cost)))
 
-        bound = np.zeros(moves.shape[0] + 5)
+        bound = np.zeros(moves.shape[0] + 5 + (6 * len(self.held) + len(most)))
         # Directions differ in this bound alone: the matrix is ordered and scaled once.
         solver = _solver(energy, cost, matrix, bound, cones, _TOLERANCES[1])
 

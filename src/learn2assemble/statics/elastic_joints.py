@@ -34,6 +34,7 @@ from numba import njit
 from scipy.sparse.linalg import splu
 
 from learn2assemble.blas import by_one_thread
+from learn2assemble.statics.hands import STIFFNESS, HandSprings, HeldBlock
 
 _SPRING = 1e-10
 """Of the ground spring that keeps every block somewhere; what it bears is far below rounding."""
@@ -67,6 +68,8 @@ class ElasticAnswer(NamedTuple):
     """float64[c, 3], normal and across, in the frame of their patch."""
     motion: np.ndarray
     """float64[n, 6]"""
+    wrenches: np.ndarray
+    """float64[h, 6]: of the hands."""
 
 
 class Joined:
@@ -77,10 +80,16 @@ class Joined:
         wrench: float64[2, c, 3, 6], of unit forces at the corners on these blocks.
         stiffness: float64[c], along the normal.
         weight: float64[n]; forces that are missing are measured in it.
+        held: blocks that bounded hands hold.
     """
 
     def __init__(
-        self, body: np.ndarray, wrench: np.ndarray, stiffness: np.ndarray, weight: np.ndarray
+        self,
+        body: np.ndarray,
+        wrench: np.ndarray,
+        stiffness: np.ndarray,
+        weight: np.ndarray,
+        held: Sequence[HeldBlock] = (),
     ) -> None:
         self.body, self.wrench = body, wrench
         self.stiffness, self.weight = stiffness, weight
@@ -89,6 +98,9 @@ class Joined:
         self._force = np.zeros((2, self.corners, 3))
         self._slope = np.zeros((2, self.corners, 3, 3))
         self._left = np.empty((2, self.count, 6))
+        self.hands = HandSprings(held)
+        self._hand = [self.hands.none, self.hands.none]
+        self._hand_slope = [np.zeros((len(held), 6, 6))] * 2
 
     @by_one_thread
     def coupled(
@@ -109,8 +121,9 @@ class Joined:
             starts: motions float64[n, 6] to start from, in turn; one of none by default.
         """
         springs = np.stack([self.stiffness, ratio * self.stiffness])
-        law = _JointResponse(_COUPLED, np.zeros((self.corners, 3)), springs, friction)
-        found = ElasticAnswer(law.near, np.zeros((self.count, 6)))
+        none = self.hands.none
+        law = _JointResponse(_COUPLED, np.zeros((self.corners, 3)), springs, friction, none)
+        found = ElasticAnswer(law.near, np.zeros((self.count, 6)), none)
         for start in starts or (found.motion,):
             balances, found = self._relaxed(load, law, start, balanced)
             if balances:
@@ -152,10 +165,16 @@ class Joined:
         near: np.ndarray,
         balanced: float,
         motion: np.ndarray | None = None,
+        wrenches: np.ndarray | None = None,
     ) -> tuple[bool, ElasticAnswer]:
         """The forces in Coulomb's cone nearest to given ones that balance a load, or what was
-        reached: where there are none, a motion that nothing holds back."""
-        law = _JointResponse(_NEAREST, near, np.stack([self.stiffness] * 2), friction)
+        reached: where there are none, a motion that nothing holds back.
+
+        Args:
+            wrenches: float64[h, 6], those of the hands that are given; by default none.
+        """
+        given = self.hands.none if wrenches is None else wrenches
+        law = _JointResponse(_NEAREST, near, np.stack([self.stiffness] * 2), friction, given)
         motion = np.zeros((self.count, 6)) if motion is None else motion
         return self._descended(load, law, motion, balanced)
 
@@ -235,12 +254,18 @@ class Joined:
     ) -> float:
         """The energy at a motion; forces, derivatives and what is left go to place ``now``."""
         place = self._force[now], self._slope[now], self._left[now]
-        return _respond(motion, load, self.body, self.wrench, *law, *place)
+        energy = _respond(motion, load, self.body, self.wrench, *law[:4], *place)
+        if not self.hands.held:
+            return energy
+        self._hand[now], self._hand_slope[now], more = self.hands.respond(motion, law.hands)
+        self._left[now][self.hands.body] -= self._hand[now]
+        return energy + more
 
     def _change(self, law: _JointResponse, now: int, leak: float) -> np.ndarray | None:
         """The change of motion of a step of Newton's method, or None."""
         bodies = self.body, self.wrench
-        matrix = self._layout.matrix(bodies, self._slope[now], leak, law.springs)
+        hands = self.hands.body, self._hand_slope[now] + leak * STIFFNESS * np.eye(6)
+        matrix = self._layout.matrix(bodies, hands, self._slope[now], leak, law.springs)
         change = self._layout.solve(matrix, self._left[now])
         return change if change is not None and np.isfinite(change).all() else None
 
@@ -250,7 +275,7 @@ class Joined:
         # What the ground springs bear is not balanced.
         near = np.abs(motion).max(initial=0.0) <= _FAR
         balances = bool(near and ((self._left[now] ** 2).sum(1) <= limit).all())
-        return balances, ElasticAnswer(self._force[now].copy(), motion)
+        return balances, ElasticAnswer(self._force[now].copy(), motion, self._hand[now].copy())
 
 
 class _JointResponse(NamedTuple):
@@ -262,6 +287,8 @@ class _JointResponse(NamedTuple):
     springs: np.ndarray
     """float64[2, c]: along the normal and across."""
     friction: np.ndarray
+    hands: np.ndarray
+    """float64[h, 6]: wrenches of hands without motion."""
 
 
 class _Layout:
@@ -305,12 +332,20 @@ class _Layout:
     def matrix(
         self,
         bodies: tuple[np.ndarray, np.ndarray],
+        hands: tuple[np.ndarray, np.ndarray],
         slope: np.ndarray,
         leak: float,
         springs: np.ndarray,
     ) -> np.ndarray:
-        """The derivative, a little of every spring included."""
+        """The derivative, a little of every spring included.
+
+        Args:
+            hands: int64[h], blocks, and float64[h, 6, 6], what is added for each.
+        """
         _assemble(*bodies, slope, leak, springs, self.at, self.stride, self.data)
+        for body, more in zip(*hands, strict=True):
+            at, step = self._place(body, body), self._stride(np.array([body]))[0]
+            self.data[at + step * np.arange(6)[:, None] + np.arange(6)] += more
         self.data[self.diagonal] += _SPRING + 1e-12 * self.data[self.diagonal].max(initial=0.0)
         return self.data
 

@@ -8,46 +8,34 @@ that column alone, so that states that follow each other cost little.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import clarabel
 import highspy
 import numpy as np
 import scipy.sparse as sp
 
 from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.hands import Hand
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import Learn2AssembleError
 from learn2assemble.geometry.hulls import cross_rows
 from learn2assemble.geometry.reach import inner_circle
+from learn2assemble.statics.hands import NO_HANDS, HeldBlock, held_blocks, held_meanwhile
 from learn2assemble.statics.holding_forces import Columns, Forces, forces_of, joined
+from learn2assemble.statics.holding_solver import (
+    CAREFUL,
+    DECIDED,
+    OPTIONS,
+    STATUS,
+    by_cones,
+    new_solver,
+)
 
 MOST_G = 10.0
 """Margins are cut here [g]."""
-_conic: Any = clarabel
-"""A compiled module without types."""
 _COLUMNWISE = int(highspy.MatrixFormat.kColwise)
-_STATUS = highspy.HighsModelStatus
-_OPTIONS = (
-    ("output_flag", False),
-    ("threads", 1),
-    ("random_seed", 0),
-    # Both cost a third of the time here, and change no answer.
-    ("simplex_scale_strategy", 0),
-    ("dual_simplex_cost_perturbation_multiplier", 0.0),
-    ("simplex_dual_edge_weight_strategy", 0),
-    ("simplex_iteration_limit", 20_000),
-)
-_CAREFUL = (
-    ("simplex_scale_strategy", 2),
-    ("dual_simplex_cost_perturbation_multiplier", 1.0),
-    ("simplex_dual_edge_weight_strategy", -1),
-    ("simplex_iteration_limit", 2**31 - 1),
-)
-_DECIDED = (_STATUS.kOptimal, _STATUS.kInfeasible, _STATUS.kUnboundedOrInfeasible)
-_FEW = 30
-"""Blocks up to which making a program smaller first costs more than it saves."""
 _MANY = 300
 """Blocks from which one state alone is answered by a method of interior points."""
 _CLOSE = 1e-3
@@ -131,7 +119,7 @@ class Balance:
         start = np.append(matrix.indptr[: n + 1], first + len(filled)).astype(np.int32)
         index = np.concatenate([matrix.indices[:first], filled]).astype(np.int32)
         value = np.concatenate([matrix.data[:first], self._last[filled]])
-        self._solver = solver = _solver(self.count)
+        self._solver = solver = new_solver(self.count)
         self._lower = np.append(columns.lower / self._unit, 0.0)
         self._upper = np.append(columns.upper / self._unit, np.inf)
         load = self._load(np.zeros(self.count), None)
@@ -204,6 +192,24 @@ class Balance:
             load[:, :2] = self.weight[:, None] * sideways / self._unit
         return load.reshape(-1)
 
+    def _unheld(
+        self, there: np.ndarray, held: np.ndarray | None, hands: Mapping[int, Hand]
+    ) -> np.ndarray:
+        """bool[count]: blocks that have to be balanced, also by hands of which the wrench is
+        bounded."""
+        free = there & ~self.fixed
+        if held is not None:
+            rigid = held.copy()
+            rigid[list(hands)] = False
+            free &= ~rigid
+        return free
+
+    def _held(self, hands: Mapping[int, Hand], free: np.ndarray) -> list[HeldBlock]:
+        """Hands of blocks, in the units of the program."""
+        number = np.where(free, np.arange(self.count), -1)
+        length = np.full(self.count, self._length)
+        return held_blocks(hands, number, self._centre, self._unit, length)
+
     def _row_bounds(self, load: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         rows = np.repeat(free, 6)
         return np.where(rows, load, -np.inf), np.where(rows, load, np.inf)
@@ -243,16 +249,16 @@ class Balance:
         solver = self._solver
         solver.run()
         status = solver.getModelStatus()
-        if status not in _DECIDED:
+        if status not in DECIDED:
             # It goes round in circles: from the start again, with costs that are perturbed.
             solver.clearSolver()
-            for option, value in _CAREFUL:
+            for option, value in CAREFUL:
                 solver.setOptionValue(option, value)
             solver.run()
             status = solver.getModelStatus()
-            for option, value in _OPTIONS:
+            for option, value in OPTIONS:
                 solver.setOptionValue(option, value)
-        if status == _STATUS.kOptimal:
+        if status == STATUS.kOptimal:
             return True, np.array(self._solver.getSolution().col_value)
         return False, np.zeros(self._width + 1)
 
@@ -263,6 +269,7 @@ class Balance:
         present: np.ndarray | None = None,
         held: np.ndarray | None = None,
         push: np.ndarray | None = None,
+        hands: Mapping[int, Hand] = NO_HANDS,
     ) -> Need:
         """The strength that a state needs.
 
@@ -270,18 +277,20 @@ class Balance:
             present: bool[count], the blocks that are there; all by default.
             held: bool[count], those of them that a hand holds.
             push: float64[count], further forces down on blocks, at their middle [N].
+            hands: what the hands can give; a block that is held by any other bears any load.
         """
         there = np.ones(self.count, bool) if present is None else present
-        free = there & ~self.fixed & (True if held is None else ~held)
+        free = self._unheld(there, held, hands)
         load = self._load(np.zeros(self.count) if push is None else push, None)
         self._set(there, free, load)
-        if self.count > _MANY and not self._started:
+        if self.count > _MANY and not self._started and not hands:
             found = self._by_cones(load, there, free)
             if found is not None and abs(found.share - 1.0) > _CLOSE:
                 return found
         self._started = True
         self._aim(True)
-        fits, x = self._run()
+        with held_meanwhile(self._solver, self._held(hands, free), self.count):
+            fits, x = self._run()
         if not fits:
             return Need(np.inf, x[: self._width])
         share = float(max(x[self._width], 0.0))
@@ -298,15 +307,22 @@ class Balance:
         held = (columns.lower < 0) & (work < -_IDLE) | (columns.upper > 0) & (work > _IDLE)
         return not motion.any() or bool(held.any())
 
-    def stands(self, present: np.ndarray, held: np.ndarray, push: Push | None = None) -> bool:
+    def stands(
+        self,
+        present: np.ndarray,
+        held: np.ndarray,
+        push: Push | None = None,
+        hands: Mapping[int, Hand] = NO_HANDS,
+    ) -> bool:
         """Whether a state stands with the strength its joints have; quicker than :meth:`need`.
 
         Args:
             present: bool[count], the blocks that are there.
             held: bool[count], those of them that a hand holds.
             push: a further force on a block.
+            hands: as of :meth:`need`.
         """
-        free = present & ~self.fixed & ~held
+        free = self._unheld(present, held, hands)
         if not free.any():
             return True
         load = self._load(np.zeros(self.count), None)
@@ -316,7 +332,8 @@ class Balance:
             load[6 * push.block + np.arange(2, 5)] += wrench * [1, 1, -1]
         self._aim(False)
         self._set(present, free, load)
-        return self._run()[0]
+        with held_meanwhile(self._solver, self._held(hands, free), self.count):
+            return self._run()[0]
 
     def _aim(self, least: bool) -> None:
         """Look for the least share of the strength, or for any forces with all of it.
@@ -336,42 +353,34 @@ class Balance:
         on = np.flatnonzero(self._on(self._bodies, present))
         last = sp.csc_matrix(self._last[rows].reshape(-1, 1))
         balance = sp.hstack([self._wrench[rows][:, on], last])
-        lower = np.append(self._lower[on], 0.0)
-        upper = np.append(self._upper[on], np.inf)
-        count = len(on) + 1
-        signs, bound, cones = [balance], [load[rows]], [_conic.ZeroConeT(len(rows))]
-        for limit, sign in ((lower, -1.0), (upper, 1.0)):
-            some = np.flatnonzero(np.isfinite(limit))
-            signs.append(sign * sp.csr_matrix(sp.identity(count))[some])
-            bound.append(sign * limit[some])
-            cones.append(_conic.NonnegativeConeT(len(some)))
-        cost = np.zeros(count)
-        cost[-1] = 1.0
-        settings = _conic.DefaultSettings()
-        settings.verbose = False
-        settings.max_threads = 1
-        settings.direct_solve_method = "qdldl"
-        energy = sp.csc_matrix((count, count))
-        matrix = sp.csc_matrix(sp.vstack(signs))
-        answer = _conic.DefaultSolver(
-            energy, cost, matrix, np.concatenate(bound), cones, settings
-        ).solve()
-        if answer.status != _conic.SolverStatus.Solved:
+        lower, upper = np.append(self._lower[on], 0.0), np.append(self._upper[on], np.inf)
+        found = by_cones(balance, load[rows], lower, upper)
+        if found is None:
             return None
         forces = np.zeros(self._width)
-        forces[on] = np.array(answer.x)[:-1] * self._unit
-        return Need(float(max(answer.x[-1], 0.0)), forces)
+        forces[on] = found[:-1] * self._unit
+        return Need(float(max(found[-1], 0.0)), forces)
 
-    def margin_g(self, present: np.ndarray | None = None, held: np.ndarray | None = None) -> float:
+    def margin_g(
+        self,
+        present: np.ndarray | None = None,
+        held: np.ndarray | None = None,
+        hands: Mapping[int, Hand] = NO_HANDS,
+    ) -> float:
         """Sideways acceleration [g] in every direction that a state that stands withstands.
 
         The accelerations that its joints can balance are a convex set; the largest circle about
-        zero in the hull of points of its border is inside.
+        zero in the hull of points of its border is inside. Arguments as of :meth:`need`.
         """
         there = np.ones(self.count, bool) if present is None else present
-        free = there & ~self.fixed & (True if held is None else ~held)
+        free = self._unheld(there, held, hands)
         if not free.any():
             return MOST_G
+        with held_meanwhile(self._solver, self._held(hands, free), self.count):
+            return self._margin_g(there, free)
+
+    def _margin_g(self, there: np.ndarray, free: np.ndarray) -> float:
+        """The same, once the hands are in the program."""
         self._aim(True)
         self._set(there, free, self._load(np.zeros(self.count), None))
         solver, width = self._solver, self._width
@@ -395,6 +404,7 @@ class Balance:
                 if not fits:
                     return 0.0
                 reach, dual = float(x[width]), np.array(self._solver.getSolution().row_dual)
+                dual = dual[: 6 * self.count]
                 points.append(reach * way)
                 angles.append(angle)
                 above = min(above, self._bound(dual, load - offset, reach, way))
@@ -423,10 +433,16 @@ class Balance:
             self._solver.changeCoeff(row, self._width, float(column[row]))
         self._last = column
 
-    def holding(self, present: np.ndarray | None = None, held: np.ndarray | None = None) -> Holding:
-        """The least forces that would hold a state with all its strength, and what moves first."""
+    def holding(
+        self,
+        present: np.ndarray | None = None,
+        held: np.ndarray | None = None,
+        hands: Mapping[int, Hand] = NO_HANDS,
+    ) -> Holding:
+        """The least forces that would hold a state with all its strength, and what moves first;
+        arguments as of :meth:`need`."""
         there = np.ones(self.count, bool) if present is None else present
-        free = there & ~self.fixed & (True if held is None else ~held)
+        free = self._unheld(there, held, hands)
         rows = np.flatnonzero(np.repeat(free, 6))
         on = np.flatnonzero(self._on(self._bodies, there))
         pulling = self._on(self._pull_bodies, there).astype(float)
@@ -438,7 +454,7 @@ class Balance:
         start = np.append(matrix.indptr, matrix.nnz + 1 + np.arange(2 * m))
         index = np.concatenate([matrix.indices, np.tile(np.arange(m), 2)])
         filled = np.concatenate([matrix.data, np.repeat([1.0, -1.0], m)])
-        solver = _solver(self.count)
+        solver = new_solver(self.count)
         cost = np.concatenate([np.zeros(n), np.ones(2 * m)])
         lower = np.concatenate([self._lower[on], np.zeros(2 * m)])
         upper = np.concatenate([self._upper[on], np.full(2 * m, np.inf)])
@@ -459,23 +475,16 @@ class Balance:
             filled,
             np.zeros(n + 2 * m, np.int32),
         )
-        solver.run()
-        force = float(solver.getInfo().objective_function_value) * self._unit
-        motion = np.zeros(6 * self.count)
-        motion[rows] = np.array(solver.getSolution().row_dual)
+        number = np.cumsum(free) - 1
+        some = [one._replace(body=int(number[one.body])) for one in self._held(hands, free)]
+        with held_meanwhile(solver, some, int(free.sum())):
+            solver.run()
+            force = float(solver.getInfo().objective_function_value) * self._unit
+            motion = np.zeros(6 * self.count)
+            motion[rows] = np.array(solver.getSolution().row_dual)[:m]
         size = np.linalg.norm(motion.reshape(-1, 6), axis=1)
         moving = np.flatnonzero(size >= _MOVES * max(size.max(initial=0.0), 1e-12)).tolist()
         return Holding(force, moving)
-
-
-def _solver(blocks: int) -> Any:
-    """A solver for the program of so many blocks."""
-    solver: Any = highspy.Highs()
-    for option, value in _OPTIONS:
-        solver.setOptionValue(option, value)
-    if blocks <= _FEW:
-        solver.setOptionValue("presolve", "off")
-    return solver
 
 
 def balance_of(assembly: Assembly, sides: bool = False, cured: np.ndarray | None = None) -> Balance:

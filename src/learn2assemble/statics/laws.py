@@ -14,6 +14,7 @@ import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import Contacts, shrunk
+from learn2assemble.assembly.hands import Hand
 from learn2assemble.linear_programs import Clock
 from learn2assemble.statics.holding import Balance, Push, balance_of
 from learn2assemble.statics.holding_check import margin_n, reference
@@ -99,9 +100,11 @@ class ByForces:
 
     def rests(self, state: State, block: int) -> bool:
         near = sorted(self.states.near[block])
-        key = block, state.present[near].tobytes()
+        if state.rigid[block]:
+            return True
+        key = block, state.near([block, *near])
         if key not in self._rests:
-            self._rests[key] = bool(state.held[block]) or self.states.rests(state, block)
+            self._rests[key] = self.states.rests(state, block)
         return self._rests[key]
 
     def report(self, state: State) -> Shown:
@@ -250,16 +253,17 @@ class ByStrength:
     def margin_g(self, state: State) -> float:
         """Sideways acceleration [g] in every direction that a state withstands that stands."""
         balance, scope = self._program(state)
-        return balance.margin_g(state.present[scope], state.held[scope])
+        return balance.margin_g(*_parts(state, scope))
 
     def margin_n(self, state: State) -> float | None:
         """What a contact point can pull more than a state needs [N]."""
         balance, scope = self._program(state)
-        need = balance.need(state.present[scope], state.held[scope])
+        present, held, hands = _parts(state, scope)
+        need = balance.need(present, held, hands=hands)
         return margin_n(need.share, reference(self.assembly))
 
     def moving(self, state: State) -> list[int]:
-        return self.balance.holding(state.present, state.held).moving
+        return self.balance.holding(state.present, state.held, state.hands).moving
 
     def falls(self, state: State) -> bool:
         return not self.stands(state)
@@ -279,7 +283,15 @@ class ByStrength:
         balance, scope = self._program(state)
         if push is not None:
             push = push._replace(block=int(np.searchsorted(scope, push.block)))
-        return balance.stands(state.present[scope], state.held[scope], push)
+        present, held, hands = _parts(state, scope)
+        return balance.stands(present, held, push, hands)
+
+
+def _parts(state: State, scope: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[int, Hand]]:
+    """Of some blocks int64[n], which are there, which are held, and what the hands can give."""
+    number = {b: k for k, b in enumerate(scope.tolist())}
+    hands = {number[b]: hand for b, hand in state.hands.items()}
+    return state.present[scope], state.held[scope], hands
 
 
 class ByMortar:
@@ -298,7 +310,9 @@ class ByMortar:
 
     def stands(self, state: State, thorough: bool = True) -> bool:
         balance = self._of(state)
-        return balance is not None and balance.stands(state.present, state.held)
+        if balance is None:
+            return False
+        return balance.stands(state.present, state.held, hands=state.hands)
 
     def rests(self, state: State, block: int) -> bool:
         """What mortar holds is not squeezed; a block that has just come is dry."""
@@ -308,13 +322,13 @@ class ByMortar:
     def report(self, state: State) -> Shown:
         balance = self._of(state)
         assert balance is not None
-        return Shown(MORTAR, balance.margin_g(state.present, state.held))
+        return Shown(MORTAR, balance.margin_g(state.present, state.held, state.hands))
 
     def moving(self, state: State) -> list[int]:
         balance = self._of(state)
         if balance is None:
             return self.dry.moving(state)
-        return balance.holding(state.present, state.held).moving
+        return balance.holding(state.present, state.held, state.hands).moving
 
     def falls(self, state: State) -> bool:
         return self.dry.falls(state) and not self.stands(state)

@@ -7,7 +7,7 @@ friction that squeezes itself; both are programs of :mod:`learn2assemble.statics
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, NamedTuple
@@ -23,9 +23,11 @@ from learn2assemble.assembly.contacts import (
     find_contacts,
     widened,
 )
+from learn2assemble.assembly.hands import Hand
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.reach import inner_circle
 from learn2assemble.statics.block_forces import MOST_G, Equilibrium, System
+from learn2assemble.statics.hands import NO_HANDS
 from learn2assemble.statics.holding_check import (
     corner_forces,
     margin_n,
@@ -305,6 +307,7 @@ def solve(
     *,
     present: np.ndarray | None = None,
     held: np.ndarray | None = None,
+    hands: Mapping[int, Hand] = NO_HANDS,
     coupled: bool = True,
     stiffness: tuple[float, ...] = STIFFNESS,
 ) -> Equilibrium:
@@ -315,7 +318,8 @@ def solve(
         contacts: of that assembly; those of absent blocks are ignored.
         friction: Coulomb coefficient instead of the assembly's.
         present: bool[B], the blocks that are there; all by default.
-        held: bool[B], those of them that a hand holds, so that they bear any load.
+        held: bool[B], those of them that a hand holds.
+        hands: what the hands can give; a block that is held by any other bears any load.
         coupled: False answers by RBE alone, which refutes but cannot prove.
         stiffness: tangential over normal stiffness of the joints, in the order they are tried.
 
@@ -324,7 +328,7 @@ def solve(
     """
     friction = assembly.friction if friction is None else friction
     check_friction(friction)
-    system = System(assembly, contacts, present, held)
+    system = System(assembly, contacts, present, held, hands)
     if system.count == 0:
         return _standing("frictionless", system.newtons(None))
     if system.upright:
@@ -361,6 +365,7 @@ def margin(
     *,
     present: np.ndarray | None = None,
     held: np.ndarray | None = None,
+    hands: Mapping[int, Hand] = NO_HANDS,
 ) -> float:
     """Sideways acceleration [g] that RBE withstands in every direction, from below.
 
@@ -371,7 +376,7 @@ def margin(
     """
     friction = assembly.friction if friction is None else friction
     check_friction(friction)
-    system = System(assembly, contacts, present, held)
+    system = System(assembly, contacts, present, held, hands)
     if system.count == 0:
         return min(friction, MOST_G)
     fewest, most, work = _LOADS

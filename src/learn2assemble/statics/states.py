@@ -8,14 +8,16 @@ a block that they no longer balance are found again.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import Contacts
+from learn2assemble.assembly.hands import Hand
+from learn2assemble.constants import GRAVITY
 from learn2assemble.geometry.reach import inner_circle
 from learn2assemble.statics.block_forces import (
     BALANCED,
@@ -25,6 +27,7 @@ from learn2assemble.statics.block_forces import (
     corner_wrenches,
 )
 from learn2assemble.statics.elastic_joints import Joined
+from learn2assemble.statics.hands import NO_HANDS, held_blocks
 from learn2assemble.statics.rigid_blocks import STIFFNESS, solve
 
 _HOPS = 2
@@ -45,24 +48,37 @@ class State:
 
     Attributes:
         present: bool[B].
-        held: bool[B]; a block that is held bears any load.
+        held: bool[B].
         cured: bool[B], those that were there when one last waited until mortar holds; None before.
+        hands: of blocks that are held, what the hand can give; without it, it bears any load.
     """
 
     present: np.ndarray
     held: np.ndarray
     cured: np.ndarray | None = None
+    hands: Mapping[int, Hand] = field(default_factory=dict)
+
+    @property
+    def rigid(self) -> np.ndarray:
+        """bool[B]: blocks that a hand holds which bears any load."""
+        found = self.held.copy()
+        found[list(self.hands)] = False
+        return found
 
     @property
     def key(self) -> bytes:
         """Of tables of states."""
         cured = b"" if self.cured is None else self.cured.tobytes()
-        return self.present.tobytes() + self.held.tobytes() + cured
+        return self.present.tobytes() + self.held.tobytes() + cured + self._grips(self.hands)
 
     def near(self, blocks: Sequence[int]) -> bytes:
-        """Which of some blocks are there, and which of them mortar holds."""
+        """Which of some blocks are there, which of them mortar holds, and what hands give them."""
         cured = b"" if self.cured is None else self.cured[blocks].tobytes()
-        return self.present[blocks].tobytes() + cured
+        some = set(blocks) & set(self.hands)
+        return self.present[blocks].tobytes() + cured + self._grips(some)
+
+    def _grips(self, blocks: Iterable[int]) -> bytes:
+        return b"".join(b"%d:" % b + self.hands[b].key for b in sorted(blocks))
 
     def change(
         self,
@@ -72,11 +88,13 @@ class State:
         hold: Iterable[int] = (),
         release: Iterable[int] = (),
         wait: Sequence[int] = (),
+        hand: Hand | None = None,
     ) -> State:
         """The state after blocks were placed, removed, held and released, in this order.
 
         Args:
             wait: not empty where one has waited until the mortar of all that was there holds.
+            hand: that holds a block; by default it bears any load.
         """
         present, held = self.present.copy(), self.held.copy()
         for blocks, array, value in (
@@ -88,7 +106,9 @@ class State:
         ):
             array[list(blocks)] = value
         cured = self.present if wait else self.cured
-        return State(present, held, None if cured is None else cured & present)
+        hands = {b: one for b, one in self.hands.items() if held[b]}
+        hands |= {} if hand is None else {b: hand for b in hold if held[b]}
+        return State(present, held, None if cured is None else cured & present, hands)
 
 
 class States:
@@ -105,6 +125,7 @@ class States:
         blocks = assembly.blocks
         mass = np.array([block.mass for block in blocks])
         self.mass = mass / mass.mean()
+        self._newton = GRAVITY * float(mass.mean())
         self.centre = np.array([block.centroid for block in blocks])
         length = float(np.median([block.volume for block in blocks])) ** (1 / 3)
         self._stiffness = 1 / corner_softness(contacts, length)
@@ -158,7 +179,10 @@ class States:
 
     def _changed(self, state: State, free: np.ndarray) -> np.ndarray:
         """int64: free blocks near what is not as it was in the last state that stands."""
-        other = (state.present != self._last.present) | (state.held != self._last.held)
+        last = self._last
+        other = (state.present != last.present) | (state.held != last.held)
+        for block in {*state.hands, *last.hands}:
+            other[block] |= state.hands.get(block) is not last.hands.get(block)
         blocks = np.flatnonzero(other).tolist()
         touched = {n for block in blocks for n in (block, *self.near[block])} & set(free.tolist())
         return self.grown(np.array(sorted(touched), np.int64), free)
@@ -181,6 +205,7 @@ class States:
             present=state.present,
             held=state.held,
             coupled=False,
+            hands=state.hands,
         )
         return not found.stands
 
@@ -200,7 +225,7 @@ class States:
 
     def free(self, state: State) -> np.ndarray:
         """int64: the blocks that have to be balanced."""
-        return np.flatnonzero(state.present & ~self._fixed & ~state.held)
+        return np.flatnonzero(state.present & ~self._fixed & ~state.rigid)
 
     def live(self, state: State) -> np.ndarray:
         """bool[C]: corners between blocks that are there."""
@@ -228,8 +253,13 @@ class States:
             may[blocks] = True
             mine &= may[self.body].all(0)
         corners = np.flatnonzero(mine)
+        held = held_blocks(state.hands, number, self.centre, self._newton, self._radius)
         joined = Joined(
-            body[:, corners], self._wrench[:, corners], self._stiffness[corners], self.mass[blocks]
+            body[:, corners],
+            self._wrench[:, corners],
+            self._stiffness[corners],
+            self.mass[blocks],
+            held,
         )
         return joined, corners
 
@@ -241,7 +271,7 @@ class States:
 
     def bears(self, state: State) -> np.ndarray:
         """bool[B]: blocks that bear any load."""
-        return self._fixed | state.held
+        return self._fixed | state.rigid
 
     def loads(self, forces: np.ndarray) -> np.ndarray:
         """float64[B, 6]: what forces float64[C, 3] at the corners do to all blocks."""
@@ -265,7 +295,7 @@ class States:
     def _start(self, free: np.ndarray, known: np.ndarray) -> np.ndarray:
         """float64[n, 6]: motions to start from, of what is new as if one with what it touches."""
         start, last = known[free].copy(), self._last
-        moved = last.present & ~last.held & ~self._fixed
+        moved = last.present & ~last.rigid & ~self._fixed
         for k, block in enumerate(free.tolist()):
             if not moved[block]:
                 start[k] = 0.0
@@ -336,6 +366,9 @@ class Pushes:
         self.ways = np.stack([np.cos(angle), np.sin(angle)], 1)
         self.level = np.full(_DIRECTIONS, most)
         self.forces = np.zeros((_DIRECTIONS, states.body.shape[1], 3))
+        self.wrenches = np.zeros((_DIRECTIONS, len(states.mass), 6))
+        """What bounded hands give."""
+        self._hands: Mapping[int, Hand] = NO_HANDS
         self._wait = self._waited = 0
 
     def follow(self, state: State) -> float:
@@ -344,6 +377,9 @@ class Pushes:
         if not len(free):
             return self.most
         self.forces[:, ~self.states.live(state)] = 0.0
+        other = [b for b, hand in self._hands.items() if state.hands.get(b) is not hand]
+        self.wrenches[:, other] = 0.0
+        self._hands = state.hands
         off = np.array([self._unbalanced(k, free) for k in range(_DIRECTIONS)])
         lost = np.flatnonzero(off.any(1)).tolist()
         if lost:
@@ -371,7 +407,7 @@ class Pushes:
 
     def _unbalanced(self, k: int, free: np.ndarray) -> np.ndarray:
         """bool[n]: free blocks that the forces along a direction do not balance."""
-        rest = self._load(k, self.level[k]) - self.states.loads(self.forces[k])
+        rest = self._load(k, self.level[k]) - self.states.loads(self.forces[k]) - self.wrenches[k]
         return np.linalg.norm(rest[free], axis=1) > BALANCED * self.states.mass[free]
 
     def _settle(self, k: int, level: float, part: _StatePart) -> bool:
@@ -381,10 +417,12 @@ class Pushes:
         near = other[corners]
         other[corners] = 0.0
         load = (self._load(k, level) - self.states.loads(other))[blocks]
-        limit = np.full(len(corners), self.friction)
-        found, answer = joined.nearest(load, limit, near, 0.5 * BALANCED)
+        limit, held = np.full(len(corners), self.friction), blocks[joined.hands.body]
+        terms = load, limit, near, 0.5 * BALANCED, None, self.wrenches[k][held]
+        found, answer = joined.nearest(*terms)
         if found:
             self.forces[k][corners], self.level[k] = answer.forces, level
+            self.wrenches[k][held] = answer.wrenches
         return found
 
     def _lower(self, k: int, whole: _StatePart) -> None:

@@ -1,0 +1,136 @@
+r"""What a hand that holds a block can give it: forces and moments within bounds.
+
+The set of wrenches :math:`w = (f, m)`, the force and the moment about a point of the block, is
+convex and known by linear inequalities :math:`A w \le b` with :math:`b \ge 0`: a hand may always
+give nothing. Round limits are replaced by polyhedra inside them, so what is proven with these holds
+with the round ones, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from itertools import product
+from typing import Annotated
+
+import numpy as np
+
+from learn2assemble.errors import InputError
+from learn2assemble.values import Range
+
+Number = Annotated[float, Range(-1e9, 1e9)]
+Row = tuple[Number, Number, Number, Number, Number, Number]
+MOST_ROWS = 400
+_DIGITS = 9
+"""Of the numbers of rows, of which the largest in every row is about 1."""
+
+
+@dataclass(frozen=True)
+class Hand:
+    """The wrenches that a hand can give a block.
+
+    Args:
+        point: about which moments are counted [m, world, with the block in its place].
+        rows: each the coefficients of a force [1/N] and a moment [1/(N m)], along the axes of the
+            world.
+        most: of every row, what their sum with a wrench reaches at most, 0 or more.
+        name: whose hand it is.
+
+    Raises:
+        InputError: for rows and bounds that do not fit, and bounds below 0.
+    """
+
+    point: tuple[Number, Number, Number]
+    rows: tuple[Row, ...]
+    most: tuple[Annotated[float, Range(0, 1e9)], ...]
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.rows) <= MOST_ROWS or len(self.most) != len(self.rows):
+            got = f"{len(self.rows)} rows, {len(self.most)} bounds"
+            raise InputError("hand", got, f"1 to {MOST_ROWS} rows, and as many bounds")
+        if min(self.most) < 0:
+            raise InputError("hand: most", min(self.most), "0 or more: a hand may give nothing")
+
+    @classmethod
+    def within(
+        cls, point: Sequence[float], rows: np.ndarray, most: np.ndarray, name: str = ""
+    ) -> Hand:
+        """That of float64[k, 6] and float64[k] about float64[3]."""
+        size = np.linalg.norm(rows, axis=1)
+        table = (rows / size[:, None]).round(_DIGITS) + 0.0
+        found = [tuple(row) for row in table.tolist()]
+        bounds = (np.asarray(most) / size).round(_DIGITS)
+        x, y, z = (float(v) for v in point)
+        return cls((x, y, z), tuple(found), tuple(bounds.tolist()), name)  # pyright: ignore[reportArgumentType]
+
+    @classmethod
+    def limited(cls, point: Sequence[float], force: float, moment: float, name: str = "") -> Hand:
+        """A hand of which force [N] and moment [N m] have a largest size, in any direction."""
+        ways, share = ball(3)
+        nothing = np.zeros_like(ways)
+        rows = np.vstack([np.hstack([ways, nothing]), np.hstack([nothing, ways])])
+        return cls.within(point, rows, share * np.repeat([force, moment], len(ways)), name)
+
+    @cached_property
+    def key(self) -> bytes:
+        """Of tables of states."""
+        return repr((self.point, self.most, self.name, hash(self.rows))).encode()
+
+    @cached_property
+    def _arrays(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.array(self.rows), np.array(self.most)
+
+    def about(
+        self, centre: np.ndarray, newton: float, length: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The inequalities for forces in other units and moments about another point.
+
+        Args:
+            centre: float64[3], that point [m].
+            newton: unit of force [N].
+            length: moments are in units of ``newton`` times this [m].
+
+        Returns:
+            Rows float64[k, 6] of length 1, and bounds float64[k].
+        """
+        rows, most = self._arrays
+        arm = np.array(self.point) - centre
+        # The moment about the own point is that about the centre less arm x force.
+        turned = np.cross(rows[:, 3:], arm)
+        made = newton * np.hstack([rows[:, :3] - turned, length * rows[:, 3:]])
+        size = np.linalg.norm(made, axis=1)
+        return made / size[:, None], most / size
+
+    def gives(self, force: np.ndarray, moment: np.ndarray) -> bool:
+        """Whether a force float64[3] [N] with a moment float64[3] about the own point [N m] is one
+        of its wrenches."""
+        rows, most = self._arrays
+        return bool((rows @ np.concatenate([force, moment]) <= most + 1e-12).all())
+
+    def called(self, name: str) -> Hand:
+        """The same hand of somebody else."""
+        return replace(self, name=name)
+
+
+@lru_cache(maxsize=8)
+def ball(dimensions: int) -> tuple[np.ndarray, float]:
+    """Directions float64[k, n], and the share s for which {x: d x <= s r} lies in the ball of
+    radius r about zero.
+
+    Args:
+        dimensions: 2 (sixteen directions) or 3 (those of the faces, edges and corners of a cube).
+    """
+    from scipy.spatial import HalfspaceIntersection
+
+    if dimensions == 2:
+        angle = np.pi / 8 * np.arange(16)
+        ways = np.stack([np.cos(angle), np.sin(angle)], 1)
+    else:
+        grid = np.array([p for p in product((-1.0, 0.0, 1.0), repeat=dimensions) if any(p)])
+        ways = grid / np.linalg.norm(grid, axis=1)[:, None]
+    planes = np.hstack([ways, -np.ones((len(ways), 1))])
+    corners = HalfspaceIntersection(planes, np.zeros(dimensions)).intersections
+    ways.flags.writeable = False
+    return ways, 1.0 / float(np.linalg.norm(corners, axis=1).max())
