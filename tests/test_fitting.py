@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from learn2assemble.assembly.blocks import Assembly, box_block
-from learn2assemble.cell.fitting import OPEN, STRAYS, Fitting
+from learn2assemble.cell.fitting import OPEN, STRAYS, Fitting, neighbours
 from learn2assemble.cell.pieces import pieces_of
 from learn2assemble.cell.workcell import Job
 from learn2assemble.cell.world import PLACED, SEEMS_FLAT, WorkcellBlocks
@@ -23,9 +23,15 @@ BASE = 0.3
 
 def row(count: int) -> WorkcellBlocks:
     """Cubes in a row along x, a joint apart."""
-    size, begins = EDGE - JOINT, [BASE + k * EDGE for k in range(count)]
+    return cubes(*((k, 0) for k in range(count)))
+
+
+def cubes(*cells: tuple[int, int]) -> WorkcellBlocks:
+    """Cubes in cells of the table, a joint apart."""
+    size, begins = EDGE - JOINT, [(BASE + x * EDGE, y * EDGE) for x, y in cells]
     blocks = [
-        box_block(f"b{k}", (x, 0.0, 0.0), (x + size, size, size)) for k, x in enumerate(begins)
+        box_block(f"b{k}", (x, y, 0.0), (x + size, y + size, size))
+        for k, (x, y) in enumerate(begins)
     ]
     assembly = Assembly(tuple(blocks))
     job = Job(pieces_of(assembly), (), assembly, get_arm("panda"), (), joint=JOINT)
@@ -79,6 +85,33 @@ def test_what_is_not_known_exactly_leaves_room_to_those_that_come() -> None:
     world = row(3)
     world.spread[1] = 1e-4, 1e-4
     assert_allclose(aim(world, 1, set(), {0, 2}), 0.0, atol=1e-9)
+
+
+def test_a_corner_is_passed_on_the_side_that_is_free() -> None:
+    """A block between two others, with a third one beside its corner, has nowhere to go but out of
+    their row, and by what the third one asks for there."""
+    world = cubes((0, 0), (0, 1), (0, -1), (1, -1))
+    for k in (1, 2, 3):
+        stand(world, k, 0.0)
+    world.pose[3, :2] += [-2e-4, 3e-4]  # Its corner is past that of the block on both sides.
+    goal = Fitting(world).goal(0, {1, 2, 3}, set()) - world.target(0)
+    assert_allclose(goal[:2], [-(2e-4 - JOINT / 2), 0.0], atol=2e-6)
+    # It may stand in the way on one side, as far as it is out of it on the other.
+    world.pose[3, :2] = world.target(3)[:2] + [-2e-4, -3e-4]
+    assert_allclose(Fitting(world).goal(0, {1, 2, 3}, set()), world.target(0), atol=1e-9)
+    # Without the one behind, the shorter way is along the row.
+    world.pose[3, :2] = world.target(3)[:2] + [-4e-4, 2e-4]
+    goal = Fitting(world).goal(0, {2, 3}, set()) - world.target(0)
+    assert_allclose(goal[:2], [0.0, 2e-4 - JOINT / 2], atol=2e-6)
+
+
+def test_what_is_below_a_corner_or_past_it_is_no_neighbour() -> None:
+    blocks = [
+        box_block("low", (BASE, 0.0, 0.0), (BASE + 0.05, 0.05, 0.05)),
+        box_block("high", (BASE + 0.0501, 0.0501, 0.05), (BASE + 0.1, 0.1, 0.1)),
+        box_block("far", (BASE + 0.0801, 0.0801, 0.0), (BASE + 0.13, 0.13, 0.05)),
+    ]
+    assert not neighbours(pieces_of(Assembly(tuple(blocks))), 0)
 
 
 def on(world: WorkcellBlocks, k: int, table: np.ndarray) -> np.ndarray:

@@ -28,7 +28,7 @@ from learn2assemble.cell.site import (
     Site,
     read_site,
 )
-from learn2assemble.cell.state import area
+from learn2assemble.cell.state import Choice, area
 from learn2assemble.cell.world import STANDING, WorkcellBlocks, rows_of
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
@@ -225,6 +225,32 @@ def test_noise_of_readings_leaves_blocks_in_their_places(window: Plan, seed: int
     assert plan.arm is not None
     assert plan.arm.error_worst is not None
     assert plan.arm.error_worst < 2e-3
+
+
+def test_what_was_pushed_goes_back_and_what_is_shifted_with_its_row_stays() -> None:
+    plan = planned(wall(12, 1, 1))
+    found = prepare(plan, quick(), KIT.joint_gap)
+    known = Choice(found.job, found.order, found.structure)
+    world, there = known.world, sorted({step.block for step in known.order})
+    assert len(there) == 2
+    left, right = sorted(there, key=lambda k: world.target(k)[0])
+    for k in there:
+        world.state[k], world.pose[k] = STANDING, world.target(k)
+
+    def again() -> int | None:
+        action = known.choose()
+        assert not isinstance(action, str)
+        assert action is None or action.what == "again"
+        return None if action is None else action.block
+
+    # Both by 2 mm: the one behind has nothing that keeps it there, the one ahead has that one.
+    for off, wrong in ((2e-3, left), (1e-3, None)):
+        for k in there:
+            world.pose[k, 0] = world.target(k)[0] + off
+        assert again() == wrong
+    world.pose[right, 0] = world.target(right)[0] + 2e-3
+    world.pose[left] = world.target(left)
+    assert again() == right
 
 
 @settings(max_examples=8, deadline=None)

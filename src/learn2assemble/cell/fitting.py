@@ -6,12 +6,15 @@ the drawing says meets a neighbour that stands nearer than that, and a gap is le
 the block to come does not find. So the shifts of a block and of those to come in its row are found
 together, as the smallest for which all joints between them stay open: least squares, in which a
 joint that is too narrow counts by how well its width can be known.
+
+A block beside a corner of another one runs into it only where it is past that on two sides. Which
+of the two joints is kept open is left to whichever asks for less.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from itertools import product
 from typing import NamedTuple
 
@@ -46,8 +49,17 @@ ROUNDS = 40
 """Most often it is asked anew which joints are too narrow."""
 
 
+MEETS, RUNS_INTO = 1e-3, 3e-3
+"""Blocks have so much opposite each other where one meets the other [m], if it is moved so far
+across the gap between them."""
+SAME_AXIS = 1 - 1e-6
+"""Unit vectors with a larger product are one axis."""
+MOST_CORNERS = 6
+"""Of so many corners that are too near both joints are tried, of the others the wider one."""
+
+
 class Near(NamedTuple):
-    """A neighbour, where both are in their places."""
+    """A neighbour along one axis that parts it from a block, where both are in their places."""
 
     other: int
     gap: float
@@ -58,27 +70,49 @@ class Near(NamedTuple):
     """float64[m, 3]: corners of what they have opposite each other, world frame [m]."""
 
 
-def neighbours(pieces: Sequence[Piece], k: int) -> tuple[Near, ...]:
-    """What a block would run into if it were moved, in the order of their numbers."""
-    piece, found = pieces[k], list[Near]()
+Corner = tuple[Near, ...]
+"""A neighbour that is met only past all of these joints; one of them has to stay open."""
+
+
+def neighbours(pieces: Sequence[Piece], k: int) -> tuple[Corner, ...]:
+    """What a block would run into if it were moved, in the order of their numbers: one joint where
+    they face each other, several where one stands beside a corner of the other."""
+    piece, found = pieces[k], list[Corner]()
     mine, (low, high) = solids(piece.shape, piece.pose), piece.extent
     for n, other in enumerate(pieces):
         ends = np.maximum(other.extent[0], low), np.minimum(other.extent[1], high)
         if n == k or (ends[0] - ends[1] > WITHIN).any():
             continue
         for one, two in product(mine, solids(other.shape, other.pose)):
-            gap, way = separation(one, two)
-            if gap <= WITHIN and _faces(one, two, gap, way):
-                ahead = one[0] @ way
-                face = one[0][ahead > ahead.max() - ON_FACE]
-                found.append(Near(n, gap, way, np.clip(face, two[0].min(0), two[0].max(0))))
+            joints = tuple(Near(n, *rest) for rest in _joints(one, two))
+            if joints and joints[0].gap <= WITHIN:
+                found.append(joints)
     return tuple(found)
 
 
-def _faces(one: Solid, two: Solid, gap: float, way: np.ndarray) -> bool:
-    """Whether a body would run into another one on the axis that parts them, not past it."""
-    ahead = one[0] + way * (gap + 3e-3), one[1], one[2]
-    return separation(ahead, two)[0] < -1e-3
+def _joints(one: Solid, two: Solid) -> list[tuple[float, np.ndarray, np.ndarray]]:
+    """The gaps between two bodies [m], the ways across them and what is opposite there, the widest
+    first: one where they face each other; where one is above the other, but for a corner, none."""
+    widest, way = separation(one, two)
+    ahead = one[0] + way * (widest + RUNS_INTO), one[1], one[2]
+    if separation(ahead, two)[0] < -MEETS:
+        return [(widest, way, _opposite(one, two, way))]
+    found: list[tuple[float, np.ndarray, np.ndarray]] = []
+    for axis in np.vstack([one[1], -two[1]]):
+        gap = float((two[0] @ axis).min() - (one[0] @ axis).max())
+        if gap <= -MEETS or any(axis @ known > SAME_AXIS for _, known, _ in found):
+            continue
+        if abs(float(axis[2])) >= LEANING:
+            return []
+        found.append((gap, axis, _opposite(one, two, axis)))
+    return sorted(found, key=lambda joint: -joint[0])
+
+
+def _opposite(one: Solid, two: Solid, way: np.ndarray) -> np.ndarray:
+    """float64[m, 3]: corners of the face of one body ahead, as far as the other is opposite [m]."""
+    ahead = one[0] @ way
+    face = one[0][ahead > ahead.max() - ON_FACE]
+    return np.clip(face, two[0].min(0), two[0].max(0))
 
 
 class Fitting:
@@ -90,13 +124,17 @@ class Fitting:
 
     def __init__(self, world: WorkcellBlocks) -> None:
         self.world = world
-        self._near: dict[int, tuple[Near, ...]] = {}
+        self._near: dict[int, tuple[Corner, ...]] = {}
 
-    def near(self, k: int) -> tuple[Near, ...]:
+    def near(self, k: int) -> tuple[Corner, ...]:
         """See :func:`neighbours`."""
         if k not in self._near:
             self._near[k] = neighbours(self.world.job.pieces, k)
         return self._near[k]
+
+    def facing(self, k: int) -> Iterator[Near]:
+        """Neighbours that a block faces."""
+        return (joints[0] for joints in self.near(k) if len(joints) == 1)
 
     def goal(self, k: int, standing: Collection[int], coming: Collection[int]) -> np.ndarray:
         """Where a block goes.
@@ -111,7 +149,7 @@ class Fitting:
             beside it.
         """
         goal, beds, off = self.world.target(k), list[np.ndarray](), list[float]()
-        for near in self.near(k):
+        for near in self.facing(k):
             if near.other in standing and near.way[2] < -LEANING:
                 beds.append(near.way)
                 off.append(float(np.mean(self.moved(near) @ near.way)))
@@ -160,7 +198,7 @@ class Fitting:
         """
         below = [
             float(self.world.spread[near.other, 0])
-            for near in self.near(k)
+            for near in self.facing(k)
             if near.other in standing and near.way[2] < -LEANING
         ]
         if not below and not self._on_table(k):
@@ -173,12 +211,18 @@ class Fitting:
     def tight(self, k: int, standing: Collection[int]) -> list[int]:
         """Neighbours that leave a block less room than it needs, the nearest one first."""
         found: dict[int, float] = {}
-        for near in self.near(k):
+        for joints in self.near(k):
+            near = joints[0]
             if near.other in standing and abs(float(near.way[2])) < LEANING:
-                room = near.gap + float(np.min(self.moved(near) @ near.way))
+                room = max(self.width(one) for one in joints)
                 if room < OPEN * math.hypot(self.world.placing, self.world.spread[near.other, 0]):
                     found[near.other] = room
         return sorted(found, key=lambda n: found[n])
+
+    def width(self, near: Near) -> float:
+        """Of a joint, if the block is in its place and the neighbour where it is believed to be
+        [m]."""
+        return near.gap + float(np.min(self.moved(near) @ near.way))
 
     def _step(self, k: int, meant: np.ndarray) -> np.ndarray:
         """float64[6]: from where a block should be to where it is; turns in which it looks the same
@@ -206,36 +250,85 @@ class Fitting:
         Args:
             shift: float64[3] by which it is moved anyway [m].
         """
-        row, rows, room = [k], list[np.ndarray](), list[float]()
-        world, later = self.world, self.world.placing
-        joints: list[tuple[int, int, np.ndarray, float, float]] = []
+        world, later, row = self.world, self.world.placing, [k]
+        joints, corners = list[_Joint](), list[list[_Joint]]()
         for number, one in enumerate(row):  # It grows on the way.
-            for near in self.near(one):
+            for near, *others in self.near(one):
                 other, level = near.other, abs(float(near.way[2])) < LEANING
                 if not -LEANING <= near.way[2] < 1 - LEANING or not (level or one == k):
                     continue
+                size = math.hypot(
+                    later, float(world.spread[other, 0]) if other in standing else later
+                )
                 if other in standing:
-                    gap = near.gap + float(np.min(self.moved(near) @ near.way))
-                    size = math.hypot(later, float(world.spread[other, 0]))
-                    joints.append((number, -1, near.way, gap, size))
-                elif other in coming and level and later:
+                    sides = [
+                        _Joint(number, -1, side.way, self.width(side), size)
+                        for side in (near, *others)
+                    ]
+                    joints += [] if others else sides
+                    corners += [sides] if others else []
+                elif other in coming and level and later and not others:
                     if other not in row:
                         row.append(other)
                     if number < row.index(other):
-                        size = math.hypot(later, later)
-                        joints.append((number, row.index(other), near.way, near.gap, size))
-        if not joints:
-            return np.zeros(3)
-        for number, to, way, gap, sharp in joints:
-            size, ahead = max(sharp, SHARP), np.zeros((len(row), 3))
-            ahead[number] = way
-            if to >= 0:
-                ahead[to] = -way
-            elif number == 0:
-                gap -= float(way @ shift)
-            rows.append(ahead.ravel() / size)
-            room.append((gap - world.job.joint / 2 - OPEN * sharp) / size)
-        return _least(np.array(rows), np.array(room))[:3]
+                        joints.append(_Joint(number, row.index(other), near.way, near.gap, size))
+        told = [one.told(len(row), world.job.joint / 2, shift) for one in joints]
+        sides = [
+            [one.told(len(row), world.job.joint / 2, shift) for one in corner] for corner in corners
+        ]
+        return _passing(3 * len(row), told, sides)[:3]
+
+
+class _Joint(NamedTuple):
+    """What has to stay open when the blocks of a row are moved."""
+
+    number: int
+    """Of the block in its row."""
+    to: int
+    """The same of the block across the joint; -1: that stands."""
+    way: np.ndarray
+    """float64[3]: unit vector across."""
+    gap: float
+    """[m]"""
+    size: float
+    """Standard deviation of its width [m]."""
+
+    def told(self, count: int, joint: float, shift: np.ndarray) -> _Bound:
+        """As a bound of the moves of so many blocks, float64[3 * count] [m].
+
+        Args:
+            count: of blocks in the row.
+            joint: how wide it has to stay in any case [m].
+            shift: float64[3] by which the first block is moved anyway [m].
+        """
+        ahead, gap = np.zeros((count, 3)), self.gap
+        ahead[self.number] = self.way
+        if self.to >= 0:
+            ahead[self.to] = -self.way
+        elif self.number == 0:
+            gap -= float(self.way @ shift)
+        size = max(self.size, SHARP)
+        return ahead.ravel() / size, (gap - joint - OPEN * self.size) / size
+
+
+_Bound = tuple[np.ndarray, float]
+"""A row and what its product with the moves must not exceed."""
+
+
+def _passing(count: int, bounds: list[_Bound], corners: list[list[_Bound]]) -> np.ndarray:
+    """float64[count]: the least moves that keep all bounds, and one of each corner."""
+    tight: list[list[_Bound]] = []
+    while True:
+        choices = [sides[: None if k < MOST_CORNERS else 1] for k, sides in enumerate(tight)]
+        _, found = min(
+            (_least(count, [*bounds, *chosen]) for chosen in product(*choices)),
+            key=lambda one: one[0],
+        )
+        more = [c for c in corners if all(row @ found > room for row, room in c)]
+        more = [c for c in more if not any(c is known for known in tight)]
+        if not more:
+            return found
+        tight += more
 
 
 def _height(place: np.ndarray) -> np.ndarray:
@@ -243,14 +336,17 @@ def _height(place: np.ndarray) -> np.ndarray:
     return np.array([1.0, place[1], -place[0]])
 
 
-def _least(rows: np.ndarray, room: np.ndarray) -> np.ndarray:
-    """float64[n]: the x for which |x|² / STRAYS² + |max(0, rows x - room)|² is least."""
-    found, tight = np.zeros(rows.shape[1]), np.zeros(len(rows), bool)
+def _least(count: int, bounds: list[_Bound]) -> tuple[float, np.ndarray]:
+    """The least |x|² / STRAYS² + |max(0, rows x - room)|², and its x float64[count]."""
+    rows = np.array([row for row, _ in bounds]).reshape(-1, count)
+    room = np.array([most for _, most in bounds])
+    found, tight = np.zeros(count), np.zeros(len(rows), bool)
     for _ in range(ROUNDS):
         now = rows @ found > room
         if (now == tight).all():
             break
         tight = now
         a, b = rows[tight], room[tight]
-        found = np.linalg.solve(a.T @ a + np.eye(rows.shape[1]) / STRAYS**2, a.T @ b)
-    return found
+        found = np.linalg.solve(a.T @ a + np.eye(count) / STRAYS**2, a.T @ b)
+    lacks = np.maximum(rows @ found - room, 0.0)
+    return float(found @ found / STRAYS**2 + lacks @ lacks), found

@@ -14,7 +14,7 @@ import numpy as np
 from learn2assemble.cell.arrange import Arranged, Structure
 from learn2assemble.cell.fitting import Fitting
 from learn2assemble.cell.pieces import Piece
-from learn2assemble.cell.workcell import LEANS, STANDS, TRIES, Job, StepOf
+from learn2assemble.cell.workcell import LEANS, STANDS, STRAYED, TRIES, Job, StepOf
 from learn2assemble.cell.world import (
     LOOSE,
     LOST,
@@ -289,9 +289,11 @@ class Choice:
         target, found = self.world.target(k), self.world.pose[k]
         turned = self.world.pieces[k].turned_by(found[3:], target[3:])
         off = float(np.linalg.norm(found[:3] - target[:3]))
+        # What is shifted with its row stays; what was pushed there goes back.
+        pushed = off > STRAYED and float(np.linalg.norm((found - self.fitted(k))[:3])) > STRAYED
         missing = self._bed(k) - self.standing()
         apart = bool(missing) or self.structure.loose(k, self.world)
-        return off > STANDS or turned > LEANS or apart
+        return off > STANDS or pushed or turned > LEANS or apart
 
     def _away(self, k: int) -> Action | str:
         """Back to a magazine, to where it came from, or to a free place on the table."""

@@ -59,9 +59,10 @@ SOFT = 0.01
 """... and what it holds is lowered the last bit [m] ..."""
 SOFT_SPEED = 0.02
 """... at this speed of the tool [m/s]."""
-GUARDED_SPEED = 0.01
+GUARDED_SPEED, PADS_SPEED = 0.01, 0.005
 """... and, where that is guarded, as near to its place as that is uncertain at this one [m/s], so
-that it meets what is there with less than :data:`PRESSED`."""
+that it meets what is there with less than :data:`PRESSED`; between pads slower, as what lands
+harder on an edge comes off one of them and is thrown aside by the other (by half a millimetre)."""
 GENTLE, MOST_SLOWER = 0.7, 6
 """What hangs from a cup is moved so that it loads it with no more than this share of what it holds;
 how often it is slowed down for that, if need be."""
@@ -466,7 +467,8 @@ class Execution:
         if slot:
             zones = sorted([*zones, (min(slot + SOFT, rise[0]), SLOT_SPEED)], reverse=True)
         if self.rig.guarded:
-            zones.append((self.rig.guarded, GUARDED_SPEED))
+            speed = PADS_SPEED if self.rig.arm.suction is None else GUARDED_SPEED
+            zones.append((self.rig.guarded, speed))
         press = self.press() if before is LOADED else 0.0
         if press:
             zones.append((PRESS_NEAR, PRESS_SPEED))
