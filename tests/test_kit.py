@@ -27,7 +27,7 @@ L_TETRACUBE = ((0, 0, 0), (0, 1, 0), (1, 0, 0), (2, 0, 0))
 
 def test_built_in_kits_are_read_and_named_as_their_files() -> None:
     dry = ("bricks", "bricks-lintels", "cubes", "planks", "tetrominoes")
-    assert kit_names() == tuple(sorted((*dry, "duplo", "lego")))
+    assert kit_names() == tuple(sorted((*dry, "bricks-mortar", "duplo", "lego")))
     assert not any(load_kit(name).joint.holds for name in dry)
     for name in kit_names():
         assert load_kit(name).name == name

@@ -104,9 +104,9 @@ def cut_list(told: Instructions) -> list[tuple[str, ...]]:
     return [words for words in map(cut_words, told.bill) if words]
 
 
-def name_words(id_: str) -> str:
+def name_words(id_: str, noun: str = "block") -> str:
     """A block by its id, e.g. ``block v3``, or ``block-10`` as that says what it is."""
-    return id_ if id_.lower().startswith("block") else f"block {id_}"
+    return id_ if id_.lower().startswith(noun) else f"{noun} {id_}"
 
 
 def _block_words(told: Instructions, placement: Placement) -> str:

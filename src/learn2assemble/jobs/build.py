@@ -308,10 +308,11 @@ def _kits_from(kit: Kit, old: Assembly) -> list[Kit]:
     alone, any number of its kinds, and all of the kit.
 
     Raises:
-        InputError: for blocks that the kit has not, and for a kit that clutches.
+        InputError: for blocks that the kit has not, and for a kit whose joints are not dry.
     """
-    if kit.joint.law == "clutch":
-        raise InputError("old structure", f"kit {kit.name}, whose bricks clutch", "dry blocks")
+    if kit.joint.law != "dry":
+        got = f"kit {kit.name} of {kit.joint.law} joints"
+        raise InputError("old structure", got, "dry blocks")
     names = [kind.name for kind in kit.kinds]
     there = [block for block in old.finished.blocks if not block.support]
     for block in there:

@@ -187,6 +187,8 @@ def cells_plan(
 
     if workcell is None:
         return plan_with(kit)
+    if kit.joint.law != "dry":
+        raise InputError("kit", kit.name, "dry blocks, for an arm: it lays no mortar")
     by_arm = PLANNERS[planner.name].carry_out
     if by_arm is not None:
         return by_arm(plan_with, design.wanted, kit, workcell, given["progress"])

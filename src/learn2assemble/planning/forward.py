@@ -243,10 +243,13 @@ class Forward:
 
     def _waiting(self, last: Transition) -> Iterator[Transition]:
         """A wait until mortar holds, where some of it is young."""
-        after = last.state.change(wait=[-1])
-        before = self.site.fixed if last.state.cured is None else last.state.cured
-        if self.site.mortar and (after.present & ~before & ~self.site.prop).any():
-            yield Transition((WAIT,), after, last.gone)
+        if self._young(last.state):
+            yield Transition((WAIT,), last.state.change(wait=[-1]), last.gone)
+
+    def _young(self, state: State) -> bool:
+        """Whether there is mortar that one may wait for."""
+        before = self.site.fixed if state.cured is None else state.cured
+        return self.site.mortar and bool((state.present & ~before & ~self.site.prop).any())
 
     def _closes(self, state: State, block: int) -> bool:
         """Whether a block that was placed shuts out one beside it, though all props have gone."""
@@ -343,7 +346,8 @@ class Forward:
 
     def settled(self, move: Transition) -> Transition:
         """A move, with what is let go and taken away because nothing needs it: posts at once, props
-        of the structure when all else is there."""
+        of the structure when all else is there, and where some of them need mortar that holds,
+        all after it."""
         state, steps, gone = move.state, [*move.steps], move.gone
         last = bool(state.present[self.wanted].all())
         some = self.site.prop.copy()
@@ -361,6 +365,8 @@ class Forward:
                 taken, state = self._taken(state, some, True)
             steps, again = [*steps, *taken], again or bool(taken)
             gone |= self._own(taken)
+        if last and (state.present & self.site.prop).any() and self._young(state):
+            return move
         return Transition(tuple(steps), state, gone)
 
     def _taken(self, state: State, some: np.ndarray, sure: bool) -> tuple[list[Doing], State]:

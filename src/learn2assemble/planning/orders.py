@@ -131,7 +131,8 @@ def follow_steps(
             stuck = (step.block,)
             break
         proven = number + 1
-        progress(f"step {proven}: {order.blocks[step.block].id}")
+        told = sum(one.action != "wait" for one in steps[:proven])
+        progress(f"step {told}: {order.blocks[step.block].id}")
     return order.sequenced(_Steps(steps[:proven], stuck, not stuck))
 
 

@@ -35,7 +35,7 @@ _LEVEL = 1 - 1e-6
 _KEPT = 2e8
 """Bytes of forces that are kept."""
 _FEW = 50, 100
-"""Bricks up to which margins are found in g, and in newtons."""
+"""Blocks of joints that hold up to which margins are found in g, and in newtons."""
 _LARGE, _NARROW = 100, 0.75
 """Blocks from which programs are made anew, when so small a share of theirs is there."""
 
@@ -320,9 +320,12 @@ class ByMortar:
         return held or self.dry.rests(state, block)
 
     def report(self, state: State) -> Shown:
+        """Margins of few blocks alone: they take longer than the order of many."""
         balance = self._of(state)
         assert balance is not None
-        return Shown(MORTAR, balance.margin_g(state.present, state.held, state.hands))
+        few = len(self.assembly.blocks) <= _FEW[0]
+        g = balance.margin_g(state.present, state.held, state.hands) if few else None
+        return Shown(MORTAR, g)
 
     def moving(self, state: State) -> list[int]:
         balance = self._of(state)

@@ -101,7 +101,8 @@ class Noted(NamedTuple):
         """What the page says below the 3-D view."""
         part, note = self.part, self.note
         if self.action in ("place", "remove"):
-            name = "prop " * part.block.prop + f"{part.block.id} ({part.kind})"
+            id_ = part.block.id
+            name = f"{name_words(id_, 'prop') if part.block.prop else id_} ({part.kind})"
             away = "Remove" if part.block.prop else "Take away"
             done = "Place" if self.action == "place" else away
             text = f"{done} {name}, layer {part.layer + 1}."

@@ -98,8 +98,9 @@ def _trials(tiling: Tiling, kit: Kit, options: dict[str, Any]) -> Iterator[_Tria
     if np.max(width) > 0:
         yield "it stands only with tight joints (gap 0)", wanted, kit, {"gap": 0.0}
     for name in kit_names():
-        if name != kit.name:
-            yield f"kit `{name}` does", wanted, load_kit(name).at_pitch(kit.pitch), {}
+        other = load_kit(name)
+        if name != kit.name and other.joint.law == "dry":
+            yield f"kit `{name}` does", wanted, other.at_pitch(kit.pitch), {}
     cells = np.array(tiling.lacking, np.int64).reshape(-1, 3)
     for what, under in (
         ("what is under the overhangs", cells),

@@ -147,7 +147,8 @@ def report_plan(
             covered += len(placement_cells(placement, kit))
         action = "remove" if step.place is None else "place"
         made = plans.block_step(number, step.block, block, action, covered / max(wanted, 1))
-        steps.append(made.with_proof(step.proof, step.margin_g))
+        wait = kit.joint.age if step.wait else None
+        steps.append(replace(made.with_proof(step.proof, step.margin_g), wait_h=wait))
     low, high = ordered.friction_range
     return Plan(
         design=PlanDesign(

@@ -2,13 +2,14 @@
 
 Tile; if the finished building would fall, rule that mechanism out and tile again, until it stands
 or no tiling does (:mod:`learn2assemble.planning.tiling.standing`); prop up what cannot be put down
-on
-its own; order, with more props where the order gets stuck. Where a tiling has no order, what is to
+on its
+own; order, with more props where the order gets stuck. Where a tiling has no order, what is to
 blame is barred and the next tiling is tried.
 
 What is found first is taken: dry joints without friction, friction on bed faces, then tight joints.
 Side faces press only where no gap is left, so tight joints are used where a gap of 0 is asked for
-and nowhere else.
+and nowhere else. Of a kit with mortar the finished building may stand by what mortar holds, and the
+order waits for it where dry joints do not do; its young vertical joints do not press.
 
 *Refused* means that no plan exists: no blocks fill the cells, or everything that does falls, with
 friction, too. Where that is not proven the answer is *not found*, with what was tried.
@@ -35,6 +36,7 @@ from learn2assemble.planning.tiling.finished import (
     alike,
     describe_lack,
     stand,
+    stand_by_mortar,
     to_cells,
     uncarried_cells,
 )
@@ -47,7 +49,7 @@ from learn2assemble.planning.tiling.standing import (
 )
 from learn2assemble.planning.tiling.tile import Tiling, check_cells, owners, tile
 from learn2assemble.progress import Progress, silent
-from learn2assemble.statics.proofs import BED, FRICTIONLESS, TIGHT, Bounds, value_range
+from learn2assemble.statics.proofs import BED, FRICTIONLESS, MORTAR, TIGHT, Bounds, value_range
 from learn2assemble.statics.step_proof import find_ring
 
 MAX_TILINGS, MAX_TRIED = 24, 400
@@ -58,6 +60,8 @@ NEXT_SECONDS = 5.0
 """Of the program that looks for another tiling; it mostly takes a fraction of a second."""
 FRICTION_ROUNDS = 24
 """Of tiling again where friction carries."""
+DRY_SHARE = 0.4
+"""Of the time, for blocks that stand dry, where mortar may hold others."""
 MAX_COUPLED = 400
 """Of a building of more blocks it is not asked whether friction carries it; that takes minutes."""
 MAX_PLACEMENTS = 10_000
@@ -94,7 +98,7 @@ def plan_exact(
     """
     clock = Clock(seconds, progress=progress)
     mu = value_range(friction, kit.friction, "friction")
-    tight = value_range(gap, kit.joint_gap, "gap")[1] == 0
+    laws = _laws(kit, gap)
     wanted = check_cells(wanted)
     reason, cells = _impossible(wanted, kit)
     if reason:
@@ -106,16 +110,20 @@ def plan_exact(
     tiling = improve_bond(tiling, kit, clock) if kit.limited else tiling
     first: tuple[Tiling, Ordering | None] | None = None
     proven = True
-    for law in (FRICTIONLESS, BED, TIGHT) if tight else (FRICTIONLESS, BED):
-        search = _TilingSearch(tiling, kit, clock, law, mu, friction, gap, props_allowed)
+    for number, law in enumerate(laws, 1):
+        part = clock
+        if law == FRICTIONLESS and MORTAR in laws:
+            part = Clock(DRY_SHARE * clock.left, progress=progress)
+        search = _TilingSearch(tiling, kit, part, law, mu, friction, gap, props_allowed)
         made, ordering = search.run()
         status = (ordering or made).status
-        if status == "complete" or (status == "time" and first is None):
+        late = status == "time" and part is clock and (first is None or law == MORTAR)
+        if status == "complete" or late:
             return made, ordering
         # With friction the same tilings fall in fewer ways, so only the last proof counts.
         proven = status == "refused"
         first = first or (made, ordering)
-        if clock.left <= 0 or not search.friction_may_help:
+        if clock.left <= 0 or not (search.friction_may_help or laws[number:] == (MORTAR,)):
             break
     assert first is not None
     also = made.reason if made is not first[0] and not search.tried else ""
@@ -126,6 +134,14 @@ def plan_exact(
         reason = "; ".join(filter(None, (ordering.reason, also)))
         return replace(made, status="complete"), replace(ordering, status=status, reason=reason)
     return replace(made, status=status), None
+
+
+def _laws(kit: Kit, gap: Bounds) -> tuple[str, ...]:
+    """What may carry, in the order in which it is tried; joints that may open hold no mortar."""
+    if kit.joint.law == "mortar" and kit.joint.holds and gap is None:
+        return FRICTIONLESS, MORTAR
+    tight = value_range(gap, kit.joint_gap, "gap")[1] == 0
+    return (FRICTIONLESS, BED, TIGHT) if tight else (FRICTIONLESS, BED)
 
 
 def _impossible(wanted: np.ndarray, kit: Kit) -> tuple[str, np.ndarray]:
@@ -201,7 +217,7 @@ class _TilingSearch:
         self.first, self.kit, self.clock, self.law, self.mu = tiling, kit, clock, law, mu
         self.friction, self.gap, self.props_allowed = friction, gap, props_allowed
         self.width = value_range(gap, kit.joint_gap, "gap")[1]
-        self.again = Retiling(tiling, kit, tight=law == TIGHT)
+        self.again = Retiling(tiling, kit, tight=law in (TIGHT, MORTAR))
         self.tried: list[frozenset[BlockPlacement]] = []
         self.certain: list[frozenset[BlockPlacement]] = []
         self.friction_may_help = True
@@ -286,6 +302,8 @@ class _TilingSearch:
                 self.width == 0
             )
             return stood
+        if self.law == MORTAR:
+            return stand_by_mortar(tiling, self.kit, self.mu[0], self.clock, self.again)
         return stand_by_friction(
             tiling, self.kit, self.law, self.mu, self.clock, gap=self.width, again=self.again
         )
@@ -406,9 +424,10 @@ def prop_and_order(
     """The order of a building that stands, with the fewest props it takes.
 
     Args:
-        law: what may carry; tight joints also hold what no prop reaches.
+        law: what may carry; tight joints, and mortar that holds at once, also hold what no prop
+            reaches.
     """
-    tight = law == TIGHT
+    tight = law == TIGHT or (law == MORTAR and kit.joint.age == 0)
     hanging = unsupported(structure, kit)
     if hanging and not (props_allowed or tight):
         return _not_carried(structure, kit, hanging), None

@@ -15,6 +15,7 @@ from learn2assemble.planning.tiling.candidates import (
     find_candidates,
     placement_cells,
 )
+from learn2assemble.planning.tiling.ordering import to_assembly
 from learn2assemble.planning.tiling.props import FIRM
 from learn2assemble.planning.tiling.retiling import Retiling, mirrored
 from learn2assemble.planning.tiling.stack import find_stack
@@ -25,6 +26,7 @@ from learn2assemble.planning.tiling.standing import (
     tile_standing,
 )
 from learn2assemble.planning.tiling.tile import MORE_TIME, Tiling, owners
+from learn2assemble.statics.holding import balance_of
 from learn2assemble.statics.step_proof import Proof, Stack, lies_above
 
 MAX_ROUNDS = 200
@@ -41,6 +43,8 @@ MAX_FALLEN, MIN_ROUNDS = 5_000, CUT_ROUNDS + 1
 """Blocks of all tilings together that are tried because those before fall; at least so many."""
 MAX_WHOLE = 600
 """Of a building of more blocks, the uppermost part that falls is looked at first, and alone."""
+MORTAR_ROUNDS = 12
+"""Of tiling again where mortar does not hold."""
 MAX_EXACT = 120
 """Cells of a part of a level, of which a program soon says which cannot be filled."""
 
@@ -138,6 +142,39 @@ def stand(tiling: Tiling, kit: Kit, clock: Clock, again: Retiling | None = None)
     fallen = _falls(tiling, kit, uncarried_cells(wanted, kit), held)
     reason = f"{fallen.reason}, as would each of {rounds} tilings that were tried"
     return replace(fallen, status="not found", reason=reason)
+
+
+def stand_by_mortar(
+    tiling: Tiling, kit: Kit, friction: float, clock: Clock, again: Retiling
+) -> Tiling:
+    """The tiling, changed where it falls, until the finished building stands with all mortar set.
+
+    Args:
+        kit: whose joints are of mortar.
+        friction: the smallest coefficient.
+        again: what is barred so far; blocks that move first are not used together again.
+
+    Returns:
+        the tiling; its status is ``"not found"`` where each of a few tilings falls.
+    """
+    failed, least = tiling, INF
+    for number in range(MORTAR_ROUNDS):
+        clock.tell(f"looking for blocks that mortar holds: tiling {number + 1}")
+        balance = balance_of(to_assembly(tiling, None, kit, friction=friction))
+        none = np.zeros(len(tiling.placements), bool)
+        if balance.stands(~none, none):
+            return tiling
+        least = min(least, balance.need().share)
+        moving = [tiling.placements[b] for b in balance.holding().moving]
+        new = again.bar(moving or tiling.placements)
+        better = again.solve(clock.left) if new and clock.left > 0 else None
+        if better is None or better.status != "complete":
+            break
+        tiling = better
+    reason = f"nor does the mortar of kit `{kit.name}` hold it"
+    if np.isfinite(least):
+        reason += f": what was tried takes at least {least:.3g} times its strength"
+    return replace(failed, status="not found", reason=reason)
 
 
 def _too_late(tiling: Tiling, kit: Kit, clock: Clock) -> Tiling:

@@ -8,7 +8,8 @@ are. What the sideways acceleration and the tilt of a state are worth is proven 
 A state that these forces do not balance may stand by friction on its bed faces (``BED``) and, only
 where no gap is asked for, by side faces that press (``TIGHT``): the coupled analysis of
 :mod:`learn2assemble.statics.rigid_blocks` proves it at both ends of the range of friction, and the
-step says so.
+step says so. Of a kit with mortar (``MORTAR``) joints hold once one has waited their age; blocks
+that come later are dry until the next wait.
 """
 
 from __future__ import annotations
@@ -29,11 +30,12 @@ from learn2assemble.planning.tiling.candidates import BlockPlacement, placement_
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.tile import MORE_TIME, Tiling, owners
 from learn2assemble.progress import Progress, silent
-from learn2assemble.statics.laws import ByLoads, Law, Shown
+from learn2assemble.statics.laws import ByLoads, ByMortar, Law, Shown
 from learn2assemble.statics.proofs import (
     BED,
     FRICTIONLESS,
     LOCAL,
+    MORTAR,
     PROGRAM,
     TIGHT,
     Bounds,
@@ -60,9 +62,12 @@ class OrderedStep:
     remove: int | None
     """Index into ``Tiling.placements``; exactly one of the two is given."""
     proof: str
-    """``LOCAL``, ``PROGRAM``, ``BED`` or ``TIGHT``."""
-    margin_g: float
-    """Sideways acceleration that the state at least withstands in every direction [g]."""
+    """``LOCAL``, ``PROGRAM``, ``BED``, ``TIGHT`` or ``MORTAR``."""
+    margin_g: float | None
+    """Sideways acceleration that the state at least withstands in every direction [g], where it is
+    known."""
+    wait: bool = False
+    """Whether one waits before it until the mortar of all that is there holds."""
 
     @property
     def block(self) -> int:
@@ -82,7 +87,7 @@ class Ordering:
     reason: str = ""
     """Why it is not complete, in one line."""
     margin_g: float = 0.0
-    """Of the weakest step [g]."""
+    """Of the weakest step of which it is known [g]."""
     friction_range: tuple[float, float] = (0.0, INF)
     """Coefficients of friction for which every step is proven to stand; where it is needed, the
     two ends at which it was. (Margins need a friction of at least their own size.)"""
@@ -204,7 +209,8 @@ def order(
             without it. It bounds the margins; standing itself needs none on bed faces.
         gap: width of vertical joints [m], or the range to prove it for; that of the kit without it.
         seconds: wall-clock limit.
-        law: what may carry a state: ``FRICTIONLESS``, ``BED`` or, where the gap is 0, ``TIGHT``.
+        law: what may carry a state: ``FRICTIONLESS``, ``BED``, where the gap is 0 ``TIGHT``, or
+            ``MORTAR``, of a kit whose joints hold so.
         given: try the blocks in the order of the tiling instead of from below.
         progress: told how many steps are proven, and what the weakest withstands.
     """
@@ -220,7 +226,10 @@ def order(
     stack, nothing = find_stack(blocks, kit, tiling.wanted.shape, widest), np.zeros(count, bool)
     loads = ByLoads(stack, nothing, ends[0], clock)
     laws: list[Law] = [loads]
-    if law != FRICTIONLESS:
+    if law == MORTAR:
+        whole = to_assembly(tiling, None, kit, friction=ends[0], gap=widest)
+        laws.append(ByMortar(whole, loads))
+    elif law != FRICTIONLESS:
         laws.append(Coupled(tiling, kit, ends, law, widest))
     below = [stack.below(b).tolist() for b in range(count)]
     turns = sorted(range(count), key=lambda b: (blocks[b].origin[::-1], b))
@@ -232,19 +241,21 @@ def order(
         rank=np.arange(count) if given else np.argsort(turns),
         laws=laws,
         ways=CellWays(tiling, kit),
+        mortar=law == MORTAR and kit.joint.age > 0,
         onward=True,
     )
     rules = Forward(site)
     found = depth_first(rules, clock, lambda text: clock.tell(f"looking for an order: {text}"))
     doings, steps = [doing for move in found.path for doing in move.steps], []
+    total = sum(doing.action != "wait" for doing in doings)
     for step in reported(laws, rules.law, rules.start, doings):
         place, remove = (step.block, None) if step.action == "place" else (None, step.block)
-        steps.append(OrderedStep(place, remove, step.proof, step.margin_g or 0.0))
+        steps.append(OrderedStep(place, remove, step.proof, step.margin_g, step.wait))
         _tell(clock, steps, count)
         if clock.left <= 0:
             break
     status, reason, falls, stuck = "complete", "", (), []
-    if clock.left <= 0 and not (found.complete and len(steps) == len(doings)):
+    if clock.left <= 0 and not (found.complete and len(steps) == total):
         status = "time"
         reason = f"time ran out with {len(steps)} steps proven; {MORE_TIME}"
     elif not found.complete:
@@ -254,8 +265,8 @@ def order(
             falls = tuple(loads.moving(found.last.state.change(place=stuck[:1])))
     if status == "complete" and count <= _FIRM_BLOCKS:
         _firm(steps, stack, ends[0], clock)
-    margin = min((step.margin_g for step in steps), default=0.0)
-    rubs = any(step.proof in (BED, TIGHT) for step in steps)
+    margin = _weakest(steps)
+    rubs = any(step.proof in (BED, TIGHT, MORTAR) for step in steps)
     gaps = (0.0, widest)
     if status == "complete" and not rubs:
         gaps = 0.0, _widest_gap(tiling, kit, steps, widest, clock)
@@ -274,27 +285,34 @@ def order(
 
 def _tell(clock: Clock, steps: list[OrderedStep], count: int) -> None:
     """How far the order has come."""
-    weakest = min((step.margin_g for step in steps), default=0.0)
     clock.tell(
         f"proving the order: {len(steps)} steps of {count} blocks, the weakest withstands "
-        f"{weakest:.3f} g"
+        f"{_weakest(steps):.3f} g"
     )
+
+
+def _weakest(steps: list[OrderedStep]) -> float:
+    """The smallest margin that is known [g]."""
+    return min((step.margin_g for step in steps if step.margin_g is not None), default=0.0)
 
 
 def _firm(steps: list[OrderedStep], stack: Stack, friction: float, clock: Clock) -> None:
     """Look again, by programs, for the margins of the weakest steps that bed faces carry."""
     for _ in range(_FIRMED):
         _tell(clock, steps, len(stack))
-        weakest = min(range(len(steps)), key=lambda n: steps[n].margin_g)
+        known = [step.margin_g for step in steps if step.margin_g is not None]
+        if not known or min(known) >= _WEAK or clock.left <= 0:
+            break
+        weakest = [step.margin_g for step in steps].index(min(known))
         step = steps[weakest]
-        if step.margin_g >= _WEAK or step.proof not in (LOCAL, PROGRAM) or clock.left <= 0:
+        if step.proof not in (LOCAL, PROGRAM):
             break
         placed = np.zeros(len(stack), bool)
         for done in steps[: weakest + 1]:
             placed[done.block] = done.place is not None
         sideways = Sideways(stack, friction)
         sideways.firm(placed, clock)
-        if sideways.radius <= step.margin_g:
+        if sideways.radius <= min(known):
             break
         steps[weakest] = replace(step, margin_g=sideways.radius)
 
@@ -408,13 +426,15 @@ def to_assembly(
             Block(ids[-1], moved, faces, block.kind, density, prop=block.prop, colour=kind.colour)
         )
     steps = [
-        AssemblyStep(ids[step.block])
-        if step.remove is None
-        else AssemblyStep(remove=ids[step.block])
+        AssemblyStep(
+            **{"place" if step.remove is None else "remove": ids[step.block]},
+            wait=kit.joint.age if step.wait else None,
+        )
         for step in (ordering.steps if ordering else ())
     ]
     friction = kit.friction if friction is None else friction
-    return Assembly(tuple(blocks), tuple(steps), friction, name).as_far_as_placed()
+    made = Assembly(tuple(blocks), tuple(steps), friction, name, joint=kit.joint)
+    return made.as_far_as_placed()
 
 
 _SQUARE = {
