@@ -138,6 +138,28 @@ def test_an_outlier_is_left_out_and_a_move_is_believed_at_the_second_reading() -
     assert np.linalg.norm(known.known["b"].pose[:3] - away[:3]) < 2e-3
 
 
+def test_what_readings_do_not_tell_of_a_nudged_block_stays_known() -> None:
+    """Readings that tell the yaw alone, of a block that was turned by 4 degrees: its place, and
+    how it leans, stay what they were. After a move by 30 cm nothing stays."""
+    rng = np.random.default_rng(6)
+    blind = np.diag([0.03, 0.03, 0.03, 0.2, 0.2, 3.5e-3]) ** 2
+    turned = Estimate(THERE, NOISE).moved(np.array([0, 0, 0, 0, 0, 0.07])).pose
+    known = belief()
+    for _ in range(4):
+        known.see("b", drawn(rng))
+    known.see("b", drawn(rng, turned, blind))
+    known.see("b", drawn(rng, turned, blind))
+    off = step_between(turned, known.known["b"].pose)
+    assert np.abs(off[:3]).max() < 2e-3
+    assert np.abs(off[3:5]).max() < 0.05
+    assert abs(off[5]) < 0.01
+    away = THERE + np.array([0.3, 0, 0, 0, 0, 0, 0])
+    readings = [drawn(rng, away) for _ in range(2)]
+    for one in readings:
+        known.see("b", one)
+    assert np.allclose(known.known["b"].pose, averaged(*readings).pose)
+
+
 def test_the_gate_lets_through_what_it_says() -> None:
     rng = np.random.default_rng(3)
     one = Estimate(THERE, NOISE)

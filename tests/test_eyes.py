@@ -144,7 +144,7 @@ class Bench:
 
     def pictures(self) -> list[DepthPicture]:
         self.looks += 1
-        return self.cameras.look([(BRICK, p) for p in self.blocks.values()], self.joints, self.time)
+        return self.cameras.look([(BRICK, p) for p in self.blocks.values()], self.sense())
 
     def execute(self, motion: Motion, commands: object = (), guards: object = ()) -> Report:
         self.time += motion.seconds

@@ -340,6 +340,12 @@ def _workbenchmark_arguments(parser: argparse.ArgumentParser) -> None:
         help="cell in which the arm builds (kinematic)",
     )
     add(
+        "--state",
+        default="known",
+        choices=("known", "sensed"),
+        help="where bricks wait: as the task says, or seen by two cameras (known)",
+    )
+    add(
         "--out", type=named, default=None, help="file of the results (results/workbenchmark-*.json)"
     )
     add("--resume", action="store_true", help="keep what the file of the results has already")
@@ -351,14 +357,15 @@ def _run_workbenchmark(options: argparse.Namespace, output: Output) -> None:
     from l2a_lab.measured import measure
 
     check_exists(options.tasks, "--tasks")
-    figures = workbenchmark.figures(options.tasks, options.physics)
+    figures = workbenchmark.figures(options.tasks, options.physics, options.state)
     names = figures.names()
     only: str = options.only
     wanted = [name for name in names if only in ("", name, name.split("/")[0])]
     if not wanted:
         tiers = ", ".join(sorted({name.split("/")[0] for name in names}))
         raise InputError("--only", only, f"a tier ({tiers}) or a task such as {names[0]}")
-    out: Path = options.out or Path(f"results/workbenchmark-{options.physics}.json")
+    seen = "-sensed" if options.state == "sensed" else ""
+    out: Path = options.out or Path(f"results/workbenchmark-{options.physics}{seen}.json")
     prepare(out.parent)
     found = measure(
         dataclasses.replace(figures, names=lambda: wanted),
@@ -369,7 +376,7 @@ def _run_workbenchmark(options: argparse.Namespace, output: Output) -> None:
     )
     entries = {name: found["entries"][name] for name in wanted}
     rows = figures.summary(entries)
-    title = f"WorkBenchMark, known state, {options.physics} cell"
+    title = f"WorkBenchMark, {options.state} state, {options.physics} cell"
     output.table(title, ("tasks", "asked", "solved"), rows)
     shares = workbenchmark.success(entries)
     every = shares.pop("all")
@@ -378,7 +385,7 @@ def _run_workbenchmark(options: argparse.Namespace, output: Output) -> None:
             "success": shares,
             "all": every,
             "tasks": len(entries),
-            "state": "known",
+            "state": options.state,
             "physics": options.physics,
             "file": str(out),
         }

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from learn2assemble.cell.belief import Estimate
 from learn2assemble.cell.sight import Sight
 from learn2assemble.cell.workcell import Job
 from learn2assemble.cell.world import Rows
@@ -45,6 +46,14 @@ UNCERTAIN, CERTAIN = LOOSE, 0.001
 [m]."""
 SPREADS = 4.0
 """What carries it is within so many standard deviations of where it is believed to be."""
+
+
+HOME_HEIGHT = 0.001
+"""What is pressed on studs and is stopped farther above its place is not home [m]: knobs that do
+not go in keep it 1.7 mm above it, or more."""
+HOME = np.diag([2.5e-4**2] * 3 + [3e-3**2] * 3)
+"""float64[6, 6]: covariance of the place of a brick that is pressed home [m], [rad]. Between bricks
+side by side are 0.25 mm."""
 
 
 class Ahead(NamedTuple):
@@ -140,8 +149,20 @@ class AttemptSenses:
         return poses
 
     def let_go(self) -> None:
-        """See :class:`~learn2assemble.simulation.execution.Senses`."""
+        """See :class:`~learn2assemble.simulation.execution.Senses`.
+
+        What was pressed on studs and met its resistance at the height of its place is home: studs
+        draw it there.
+        """
+        run, world = self.run, self.sight.world
+        assert run is not None
         self.sight.let_go()
+        known = self.sight.belief.known.get(self.name)
+        if known is None or not (run.landed and run.press()):
+            return
+        place = world.target(self.moving)
+        if abs(known.pose[2] - place[2]) < HOME_HEIGHT:
+            self.sight.rests(self.name, Estimate(place, HOME))
 
     def lost(self) -> None:
         """See :class:`~learn2assemble.simulation.execution.Senses`."""

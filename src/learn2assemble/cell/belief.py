@@ -22,6 +22,8 @@ GATE = 27.86
 """A reading of a block at rest is farther off once in 10,000 (chi-square, six degrees)."""
 DRIFT, DRIFT_TURN = 1e-5, 5e-5
 """By which a block at rest may creep between two looks: standard deviations [m], [rad]."""
+NUDGE, NUDGE_TURN = 0.005, 0.05
+"""Standard deviations of how far a block goes that is nudged, or slips in the hand [m], [rad]."""
 TINY = 1e-18
 """Added to variances of which the inverse is taken."""
 
@@ -111,6 +113,20 @@ def averaged(estimate: Estimate, reading: Estimate) -> Estimate:
     return fused(estimate, np.eye(6), off, reading.covariance)
 
 
+def moved_on(known: Estimate | None, seen: Estimate) -> Estimate:
+    """An estimate after readings that agree with one another and contradict what was known.
+
+    A block that was nudged, or slipped in the hand, is still near where it was, which counts where
+    the readings do not say where it is, as of a block that is half hidden. One that is elsewhere is
+    where it is seen.
+    """
+    if known is None:
+        return seen
+    nudge = np.diag([NUDGE**2] * 3 + [NUDGE_TURN**2] * 3)
+    near = known._replace(covariance=known.covariance + nudge)
+    return averaged(near, seen) if distance(near, seen) <= GATE else seen
+
+
 class Belief:
     """What is known of every block.
 
@@ -156,7 +172,7 @@ class Belief:
             self.rivals.pop(name, None)
             return True
         if rival is not None and distance(rival, reading) <= GATE:
-            self.put(name, averaged(rival, reading))
+            self.put(name, moved_on(known, averaged(rival, reading)))
             return True
         self.rivals[name] = reading
         return False

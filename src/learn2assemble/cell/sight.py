@@ -19,6 +19,7 @@ from learn2assemble.cell.belief import (
     averaged,
     distance,
     fused,
+    moved_on,
     read,
 )
 from learn2assemble.cell.world import LOOSE, LOST, MISSING, STANDING, WorkcellBlocks
@@ -126,7 +127,7 @@ class Sight:
             return
         rival = self.belief.rivals.get(name)
         if rival is not None and distance(rival, seen) <= GATE:
-            self.held = Held(name, averaged(rival, seen))
+            self.held = Held(name, moved_on(known, averaged(rival, seen)))
             self.belief.rivals.pop(name)
         else:
             self.belief.rivals[name] = seen
@@ -201,6 +202,18 @@ class Sight:
         self.held = None
         self.belief.put(name, there._replace(covariance=there.covariance + shift))
         self.since[name] = readings.time
+
+    def rests(self, name: str, where: Estimate) -> None:
+        """A touch tells where a block is that was let go, unless that contradicts what is known.
+
+        Args:
+            name: of it.
+            where: what the touch tells.
+        """
+        known = self.belief.known[name]
+        where = self.belief.as_known(name, where, known)
+        if self.touch and known.covariance.any() and distance(known, where) <= GATE:
+            self.belief.put(name, averaged(known, where))
 
     def dropped(self) -> None:
         """What was held is somewhere else."""

@@ -8,6 +8,7 @@ what the plant behind it senses. A block that no camera shows yields no reading.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,8 +31,15 @@ from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.bodies import Shape, body_of
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.sensing.camera import DepthCamera, DepthPicture, rotation
-from learn2assemble.sensing.pictures import without_arm
-from learn2assemble.sensing.registration import Believed, Look, Seen, register, views_of
+from learn2assemble.sensing.pictures import ArmPicture, without_arm
+from learn2assemble.sensing.registration import (
+    Believed,
+    Look,
+    PreparedPicture,
+    Seen,
+    register,
+    views_of,
+)
 from learn2assemble.sensing.search import find
 
 IN_HAND = (0.004, 0.05)
@@ -173,6 +181,9 @@ class SeeingPlant:
             names = ", ".join(camera.name for camera in self.cameras)
             raise PlantError(Stop.LOST, f"nothing is seen by the cameras of the layout: {names}")
         views = views_of(pictures, self.cameras)
+        if self.held is not None:
+            # Fingers beside a block look like more of it.
+            views = self._without_arm(views, readings)
         seen: dict[str, Seen] = {}
         for name, pose in self.expected.items():
             if pose is not None and views:
@@ -187,7 +198,8 @@ class SeeingPlant:
                 for n, pose in self.expected.items()
                 if pose is not None
             ]
-            views = without_arm(views, self.arm, readings.joints)
+            if self.held is None:
+                views = self._without_arm(views, readings)
             for one in find(views, lost, [*self.fixed, *known]):
                 seen[one.block] = one
         found = []
@@ -197,6 +209,15 @@ class SeeingPlant:
                 reading = BlockReading(name, one.pose, one.covariance, readings.time)
                 found.append(reading)
         return tuple(found)
+
+    def _without_arm(
+        self, views: Sequence[PreparedPicture], readings: Readings
+    ) -> list[PreparedPicture]:
+        return without_arm(views, self._alone.at(readings.joints, readings.tool.width))
+
+    @cached_property
+    def _alone(self) -> ArmPicture:
+        return ArmPicture(self.arm)
 
     def _sort(self, name: str) -> Sort:
         return self.sorts[self.kind[name]]

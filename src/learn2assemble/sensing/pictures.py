@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from numba import njit
 
-from learn2assemble.motion.plant import Plant
+from learn2assemble.motion.plant import Plant, Readings
 from learn2assemble.motion.setup import Setup
 from learn2assemble.robot.arm import Arm, arm_model
 from learn2assemble.robot.bodies import Shape
@@ -243,23 +243,29 @@ class ArmPicture:
         self.model = arm_model(arm)
         self.data = mujoco.MjData(self.model)
         self.joint = np.array([self.model.joint(name).qposadr[0] for name in arm.joints])
+        self.fingers = [int(self.model.joint(name).qposadr[0]) for name in arm.gripper.joints]
 
-    def at(self, joints: np.ndarray) -> Scenery:
-        """Its scene where it is at joints float64[n] [rad]."""
+    def at(self, joints: np.ndarray, width: float | None = None) -> Scenery:
+        """Its scene where it is.
+
+        Args:
+            joints: float64[n] [rad].
+            width: opening between the pads [m]; None: closed, or a tool without fingers.
+        """
         self.data.qpos[self.joint] = joints
+        for finger in self.fingers:
+            self.data.qpos[finger] = (width or 0.0) / len(self.fingers)
         mujoco.mj_kinematics(self.model, self.data)
         return self.model, self.data
 
 
-def without_arm(
-    views: Sequence[PreparedPicture], arm: Arm, joints: np.ndarray
-) -> list[PreparedPicture]:
-    """Pictures with nothing read where the arm is, at joints float64[n] [rad], or near it."""
+def without_arm(views: Sequence[PreparedPicture], arm: Scenery) -> list[PreparedPicture]:
+    """Pictures with nothing read where an arm is, or near it."""
     from scipy.ndimage import minimum_filter
 
-    scene, found = ArmPicture(arm).at(joints), []
+    found: list[PreparedPicture] = []
     for view in views:
-        depth = true_depth([scene], view.device)
+        depth = true_depth([arm], view.device)
         near = minimum_filter(np.where(depth > 0, depth, np.inf), 2 * BESIDE_ARM + 1)
         shown = np.isfinite(near) & (np.abs(view.depth - near) < NEAR_ARM)
         found.append(view._replace(depth=np.where(shown, 0.0, view.depth)))
@@ -290,19 +296,15 @@ class CellCameras:
         ]
         self.arm = ArmPicture(arm)
 
-    def look(
-        self, solids: Sequence[tuple[Shape, np.ndarray]], joints: np.ndarray, time: float
-    ) -> list[DepthPicture]:
+    def look(self, solids: Sequence[tuple[Shape, np.ndarray]], arm: Readings) -> list[DepthPicture]:
         """One picture of each.
 
         Args:
             solids: blocks and their poses float64[7].
-            joints: float64[n] of the arm [rad].
-            time: [s of the plant's clock]
+            arm: says where it is, and when.
         """
-        scene = still_scene(solids)
-        arm = self.arm.at(joints)
-        return [camera.look([scene, arm], time) for camera in self.cameras]
+        scenes = still_scene(solids), self.arm.at(arm.joints, arm.tool.width)
+        return [camera.look(scenes, arm.time) for camera in self.cameras]
 
 
 def pictures_of(
@@ -324,7 +326,6 @@ def pictures_of(
     eyes = CellCameras(setup.arm, cameras, off, told.seed)
 
     def look() -> list[DepthPicture]:
-        now = plant.sense()
-        return eyes.look(there(), now.joints, now.time)
+        return eyes.look(there(), plant.sense())
 
     return look
