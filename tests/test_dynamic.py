@@ -28,11 +28,17 @@ from learn2assemble.robot.moves import (
     put_down,
 )
 from learn2assemble.simulation.cell import DynamicCell, ExactSenses
+from learn2assemble.simulation.drives import Drives
 from learn2assemble.simulation.execution import Execution, Rig
 from learn2assemble.simulation.model import TIMESTEP, Failure, take_order
 from learn2assemble.simulation.prepare import prepare
 from learn2assemble.simulation.rest import ONE_SIDED, ShiftRule, check_rest
-from learn2assemble.simulation.simulation import Drives, Simulation, SimulationDivergedError, Trace
+from learn2assemble.simulation.simulation import (
+    SimulatedState,
+    Simulation,
+    SimulationDivergedError,
+    Trace,
+)
 from learn2assemble.simulation.ways import WorldChecker
 from robot_scenes import GROUND, PITCH, cell, scene
 
@@ -88,7 +94,8 @@ def test_a_way_home_is_sought_anew_where_a_block_is_in_it(panda: DynamicCell) ->
     world = panda.world(order.objects)
     course = prepare(PANDA, world, order, None, True)
     above = course.home[0]
-    sim = Simulation(PANDA, world, order.poses, order.names, order.target, above, OPENING, Trace())
+    state = SimulatedState(world, order.poses, order.names)
+    sim = Simulation(state, PANDA, above, OPENING, order.target, Trace())
     known = ExactSenses(sim, order, False)
     rig = Rig(known, known, PANDA, world, panda.limits, panda.loaded)
     run = Execution(rig, order, course, above)

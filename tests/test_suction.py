@@ -36,7 +36,7 @@ from learn2assemble.simulation.cup import Vacuum
 from learn2assemble.simulation.load import Payload, peak_load
 from learn2assemble.simulation.model import Failure, free_cells, take_order
 from learn2assemble.simulation.prepare import prepare
-from learn2assemble.simulation.simulation import Simulation, Trace
+from learn2assemble.simulation.simulation import SimulatedState, Simulation, Trace
 from learn2assemble.simulation.ways import WorldChecker
 from robot_scenes import hands
 from suction_moves import random_moves
@@ -133,9 +133,8 @@ def held(mass: float, half: np.ndarray = BRICK, off: float = 0.0) -> Simulation:
     world = Scene(np.array([[0.0, 0, 0.5]]), np.zeros(1), np.zeros(1, int), 0, half[None], density)
     order = take_order(world, Move(0, np.array([0, 0, 0.5]), Attitude(), Attitude()))
     poses = order.poses.copy()
-    sim = Simulation(
-        PANDA, cell.world(order.objects), poses, order.names, 0, PANDA.home, 0.0, Trace()
-    )
+    state = SimulatedState(cell.world(order.objects), poses, order.names)
+    sim = Simulation(state, PANDA, PANDA.home, 0.0, 0, Trace())
     position, rotation = sim.tool()
     sim.poses[0, :3] = position + rotation @ np.array([off, 0, half[2]])
     sim.poses[0, 3:] = [0.0, 1.0, 0.0, 0.0]
@@ -150,7 +149,7 @@ def held(mass: float, half: np.ndarray = BRICK, off: float = 0.0) -> Simulation:
 
 
 def tell(sim: Simulation, command: float, seconds: float) -> None:
-    from learn2assemble.simulation.simulation import BLIND
+    from learn2assemble.simulation.contacts import BLIND
 
     with suppress(Failure):  # what holds it may let go
         sim.squeeze(np.full(round(seconds / 0.002), command), "cross", BLIND)
@@ -161,7 +160,7 @@ def pulled(sim: Simulation, force: np.ndarray, moment: np.ndarray, seconds: floa
     arm is held in place."""
     assert sim.cup is not None
     body = sim.world.first
-    hand = int(sim.model.site_bodyid[sim.world.tool])
+    hand = int(sim.model.site_bodyid[sim.parts.tool])
     for share in np.linspace(0.0, 1.0, 25):
         position, rotation = sim.tool()
         push = np.concatenate([rotation @ force, rotation @ moment]) * share
@@ -202,7 +201,7 @@ def test_a_block_is_pulled_off_at_its_limit(
     else:
         assert "pulled off by" in cup.lost
         # It is told so, whatever is looked for.
-        from learn2assemble.simulation.simulation import BLIND
+        from learn2assemble.simulation.contacts import BLIND
 
         with pytest.raises(Failure) as told:
             sim.wait(10, "cross", BLIND)

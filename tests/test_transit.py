@@ -41,7 +41,7 @@ def tower(levels: int) -> Scene:
 def around(scene: Scene, arm: Arm = PANDA) -> WorldChecker:
     order = take_order(scene, Move(scene.num_placed, np.array([0.0, 0.25, 0.025]), *AA))
     found = WorldChecker(
-        arm, compile_world(arm, order.objects.shape, 1.0), order.poses, order.names
+        arm, compile_world((arm,), order.objects.shape, 1.0), order.poses, order.names
     )
     found.empty(OPENING)
     return found
@@ -214,7 +214,7 @@ def test_what_is_carried_counts() -> None:
 def test_a_course_crosses_above_everything(height: int) -> None:
     scene = tower(height)
     order = take_order(scene, Move(height, np.array([0.0, 0.15, 0.025]), *AA))
-    world = compile_world(PANDA, order.objects.shape, 1.0)
+    world = compile_world((PANDA,), order.objects.shape, 1.0)
     course = prepare(PANDA, world, order, PANDA.home, True)
     tops = [forward(get_chain(PANDA), q)[0][2] for q in (course.across[0], course.across[-1])]
     assert min(tops) > 0.05 * height + 0.025
@@ -224,7 +224,7 @@ def test_a_course_crosses_above_everything(height: int) -> None:
 
 def test_a_build_takes_low_ways_and_waits_above_the_next_object() -> None:
     order = take_order(tower(2), Move(2, np.array([0.0, 0.15, 0.025]), *AA))
-    world = compile_world(PANDA, order.objects.shape, 1.0)
+    world = compile_world((PANDA,), order.objects.shape, 1.0)
     high = prepare(PANDA, world, order, PANDA.home, True)
     low = prepare(PANDA, world, order, PANDA.home, True, np.array([0.05, 0.0, 0.0]))
     where = [forward(get_chain(PANDA), q)[0] for q in (low.across[0], low.home[-1])]
@@ -245,6 +245,6 @@ def test_where_no_way_is_free_the_target_is_unreachable(monkeypatch: pytest.Monk
 
     monkeypatch.setattr("learn2assemble.simulation.ways.straight_or_tree", nowhere)
     order = take_order(tower(1), Move(1, np.array([0.0, 0.15, 0.025]), *AA))
-    world = compile_world(PANDA, order.objects.shape, 1.0)
+    world = compile_world((PANDA,), order.objects.shape, 1.0)
     with pytest.raises(Failure, match=r"unreachable \(cross\): no free way: link5 touches"):
         prepare(PANDA, world, order, PANDA.home, True)

@@ -131,6 +131,8 @@ class Setup(NamedTuple):
     ``kinds``; a block that is called otherwise has those of its kind."""
     around: Surroundings = Surroundings()
     simulated: Simulated = Simulated()
+    others: tuple[Arm, ...] = ()
+    """Further arms in the same cell, each at home in the beginning."""
 
 
 PLANTS: Registry[Callable[[str, Setup], Plant]] = Registry("plant", {})

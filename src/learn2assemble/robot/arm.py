@@ -3,6 +3,7 @@
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -297,7 +298,7 @@ def _joint_range(model: mujoco.MjModel, name: str, where: str) -> np.ndarray:
     return joint.range
 
 
-__all__ = ["COLLISION_GROUP", "PICTURE_GROUP", "arm_model", "arm_spec"]
+__all__ = ["COLLISION_GROUP", "PICTURE_GROUP", "arm_model", "arm_spec", "arms_spec"]
 
 
 def arm_spec(arm: Arm, pictures: bool = False) -> mujoco.MjSpec:
@@ -306,6 +307,21 @@ def arm_spec(arm: Arm, pictures: bool = False) -> mujoco.MjSpec:
     spec = read_spec(arm.mjcf, arm.base_position, arm.base_yaw, pictures)
     if arm.suction is not None:
         mount(spec, arm.gripper.hand, arm.tool, arm.suction, pictures)
+    return spec
+
+
+def prefix_of(number: int) -> str:
+    """What the names of an arm's parts begin with in a model of several arms."""
+    return f"{number}/" if number else ""
+
+
+def arms_spec(arms: Sequence[Arm], pictures: bool = False) -> mujoco.MjSpec:
+    """An editable model of arms with their tools, each at its base pose; names of all but the first
+    one begin as :func:`prefix_of` says."""
+    spec = arm_spec(arms[0], pictures)
+    for number, arm in enumerate(arms[1:], 1):
+        frame = spec.worldbody.add_frame()
+        spec.attach(arm_spec(arm, pictures), prefix=prefix_of(number), frame=frame)
     return spec
 
 

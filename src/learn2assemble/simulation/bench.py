@@ -12,8 +12,9 @@ from learn2assemble.motion.plant import Guard, Motion, Report, Stop, ToolCommand
 from learn2assemble.motion.program import LOAD_TIME
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import Outcome
+from learn2assemble.simulation.contacts import BLIND, Rules, Watch
 from learn2assemble.simulation.model import TIMESTEP, Failure
-from learn2assemble.simulation.simulation import BLIND, BLOCK, HOLDS, Rules, Simulation, Watch
+from learn2assemble.simulation.simulation import BLOCK, HOLDS, Simulation
 from learn2assemble.simulation.trajectory import PathSamples, load_ruckig
 
 GRIPPED = 0.8
@@ -50,7 +51,7 @@ class Bench:
         sim = self.sim
         if sim.cup is not None:
             return sim.cup.held is not None
-        return self._force > 0 and sim.contacts.grip(sim.arm.gripper.pads) >= HOLDS
+        return self._force > 0 and sim.contacts.grip() >= HOLDS
 
     def feel(self) -> ToolReading:
         """What the tool feels."""
@@ -59,7 +60,7 @@ class Bench:
         push = x, y, z
         if sim.cup is not None:
             return ToolReading(vacuum=sim.cup.held is not None, force=push)
-        grip = sim.contacts.grip(sim.arm.gripper.pads)
+        grip = sim.contacts.grip()
         return ToolReading(width=float(sim.opening), grip=grip, force=push)
 
     def execute(
@@ -123,7 +124,7 @@ class Bench:
         they have, until the hand pushes and turns what it holds no more."""
         sim = self.sim
         for _ in range(EASES):
-            there = sim.data.qpos[sim.world.joint].copy()
+            there = sim.data.qpos[sim.parts.joint].copy()
             sim.drives.push *= 1 - EASED
             told = np.tile(sim.joints + EASED * (there - sim.joints), (BLOCK, 1))
             still = np.zeros((2, BLOCK, len(there)))
@@ -215,7 +216,7 @@ class Bench:
         elif (
             abs(sim.width - self._wanted[0]) > 1e-9
             or not self._force
-            or (sim.contacts.grip(sim.arm.gripper.pads) < GRIPPED * self._force)
+            or (sim.contacts.grip() < GRIPPED * self._force)
         ):
             return False
         self._kept = sim.in_hand()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,7 @@ from learn2assemble.robot.scene import rotation_matrix
 from learn2assemble.robot.studs import Studs
 from learn2assemble.simulation.bench import Bench
 from learn2assemble.simulation.clutch import Clutch
+from learn2assemble.simulation.contacts import BLIND, PUSH, Rules
 from learn2assemble.simulation.execution import Execution, Rig, abandon
 from learn2assemble.simulation.model import (
     TIMESTEP,
@@ -38,7 +40,7 @@ from learn2assemble.simulation.model import (
 )
 from learn2assemble.simulation.prepare import prepare, require_held, rest_pose
 from learn2assemble.simulation.rest import ShiftRule, check_rest
-from learn2assemble.simulation.simulation import BLIND, PUSH, Rules, Simulation, Trace
+from learn2assemble.simulation.simulation import SimulatedState, Simulation, Trace
 from learn2assemble.simulation.trajectory import PathSamples, load_ruckig
 from learn2assemble.simulation.ways import WorldChecker
 
@@ -61,6 +63,44 @@ class WorldForces(NamedTuple):
 
 
 _USUAL, _TRACE = WorldForces(), Trace()
+
+
+class Worlds:
+    """Compiled cells, which are remembered.
+
+    Args:
+        arms: in all of them; ways are planned for the first one.
+        forces: of the world.
+    """
+
+    def __init__(self, arms: Sequence[Arm], forces: WorldForces = _USUAL) -> None:
+        self.arms, self.forces = tuple(arms), forces
+        self._known: OrderedDict[tuple[object, int, frozenset[Hull], int], SimulatedWorld] = (
+            OrderedDict()
+        )
+
+    def of(self, objects: Objects, studs: Studs | None = None) -> SimulatedWorld:
+        """The compiled cell for these objects, with room for joints of studs; remembered."""
+        count, joints = len(objects.still), 0 if studs is None else len(studs.joints)
+        room = 64 * math.ceil(count / 64)
+        hulls = objects.hulls()
+        known = [
+            key
+            for key in self._known
+            if key[0] == objects.shape and key[1] >= count and hulls <= key[2] and key[3] >= joints
+        ]
+        key = known[0] if known else (objects.shape, room, hulls, 32 * math.ceil(joints / 32))
+        world = self._known.get(key)
+        if world is None:
+            friction, gravity = self.forces
+            shape = objects.shape
+            world = compile_world(self.arms, shape, friction, room, hulls, gravity, key[3])
+            self._known[key] = world
+            if len(self._known) > _MAX_WORLDS:
+                self._known.popitem(last=False)
+        if world.num_still:
+            hold_still(world, objects)
+        return world
 
 
 class DynamicCell:
@@ -108,10 +148,7 @@ class DynamicCell:
         self.limits, self.loaded = arm.bounds.scaled(speed), arm.bounds.scaled(LOADED_SPEED)
         self.recover, self.precheck, self.skip_free_motion = recover, precheck, skip_free_motion
         self.shift_rule = shift_rule or ShiftRule()
-        self.forces, self.trace = forces, trace
-        self._worlds: OrderedDict[tuple[object, int, frozenset[Hull], int], SimulatedWorld] = (
-            OrderedDict()
-        )
+        self.trace, self.worlds = trace, Worlds((arm,), forces)
 
     def attempt(
         self,
@@ -148,17 +185,9 @@ class DynamicCell:
         except Failure as failure:
             return _report(order, order.poses, self.arm.home if joints is None else joints, failure)
         width = order.opening if self.arm.suction is None else 0.0
-        sim = Simulation(
-            self.arm,
-            world,
-            order.poses,
-            order.names,
-            order.target,
-            course.there[0],
-            width,
-            self.trace,
-        )
-        sim.clutch = clutch_of(sim, order.objects, scene.studs, order.target)
+        state = SimulatedState(world, order.poses, order.names, dump=self.trace.dump)
+        sim = Simulation(state, self.arm, course.there[0], width, order.target, self.trace)
+        state.clutch = clutch_of(sim, order.objects, scene.studs, order.target)
         known = ExactSenses(sim, order, self.skip_free_motion)
         rig = Rig(known, known, self.arm, world, self.limits, self.loaded)
         run = Execution(rig, order, course, sim.joints)
@@ -199,10 +228,10 @@ class DynamicCell:
         objects, poses, names = rigid_objects(scene, quaternion)
         world = self.world(objects, scene.studs)
         joints = rest_pose(self.arm, WorldChecker(self.arm, world, poses, names))
-        sim = Simulation(
-            self.arm, world, poses, names, 0, joints, 0.0, self.trace._replace(sample_steps=10**9)
-        )
-        sim.clutch = clutch_of(sim, objects, scene.studs, -1)
+        state = SimulatedState(world, poses, names, dump=self.trace.dump)
+        trace = self.trace._replace(sample_steps=10**9)
+        sim = Simulation(state, self.arm, joints, 0.0, 0, trace)
+        state.clutch = clutch_of(sim, objects, scene.studs, -1)
         sim.wait(round(SETTLE_TIME / TIMESTEP), "home", BLIND._replace(until=sim.asleep))
         position, turns, yaw = objects.cells(sim.poses)
         there = None if scene.quaternion is None else turns
@@ -210,33 +239,8 @@ class DynamicCell:
         return after, turns, sim.asleep()
 
     def world(self, objects: Objects, studs: Studs | None = None) -> SimulatedWorld:
-        """The compiled cell for these objects, with room for joints of studs; remembered."""
-        count, joints = len(objects.still), 0 if studs is None else len(studs.joints)
-        room = 64 * math.ceil(count / 64)
-        hulls = objects.hulls()
-        known = [
-            key
-            for key in self._worlds
-            if key[0] == objects.shape and key[1] >= count and hulls <= key[2] and key[3] >= joints
-        ]
-        key = known[0] if known else (objects.shape, room, hulls, 32 * math.ceil(joints / 32))
-        world = self._worlds.get(key)
-        if world is None:
-            world = compile_world(
-                self.arm,
-                objects.shape,
-                self.forces.friction,
-                room,
-                hulls,
-                self.forces.gravity,
-                key[3],
-            )
-            self._worlds[key] = world
-            if len(self._worlds) > _MAX_WORLDS:
-                self._worlds.popitem(last=False)
-        if world.num_still:
-            hold_still(world, objects)
-        return world
+        """See :meth:`Worlds.of`."""
+        return self.worlds.of(objects, studs)
 
 
 def clutch_of(sim: Simulation, objects: Objects, studs: Studs | None, target: int) -> Clutch | None:
@@ -376,13 +380,11 @@ def play(program: Program, arm: Arm) -> DryRun:
             names = [f"block {rows[int(name.split()[-1])]}" for name in names]
             start = program.knots.at(np.array([first * TIMESTEP]))[0][0]
             sim = Simulation(
+                SimulatedState(cell.world(objects), state, names),
                 arm,
-                cell.world(objects),
-                state,
-                names,
-                int(objects.owner[move.cell]),
                 start,
                 float(told[first]),
+                int(objects.owner[move.cell]),
                 Trace(count + 10**6),
             )
             span = slice(first, last)

@@ -42,10 +42,14 @@ class Vacuum:
         suction: the tool.
         world: model of the cell.
         data: its state.
+        number: of the arm in the model.
     """
 
-    def __init__(self, suction: Suction, world: SimulatedWorld, data: mujoco.MjData) -> None:
+    def __init__(
+        self, suction: Suction, world: SimulatedWorld, data: mujoco.MjData, number: int = 0
+    ) -> None:
         self.suction, self.world, self.model, self.data = suction, world, world.model, data
+        self.parts = world.arms[number]
         self.held: int | None = None
         """Number of the object in the cup."""
         self.used = suction.cups[0]
@@ -56,8 +60,8 @@ class Vacuum:
         """Largest shares of pull-off force and friction so far, see
         :meth:`~learn2assemble.robot.tool.Suction.load`."""
         self._on = self._off = 0
-        self._weld = self.model.equality("cup").id
-        self._hand = int(self.model.site_bodyid[world.tool])
+        self._weld = self.parts.cup
+        self._hand = int(self.model.site_bodyid[self.parts.tool])
         angle = np.linspace(0.0, 2 * np.pi, RIM, endpoint=False)
         self._rim = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
         data.eq_active[self._weld] = 0
@@ -97,10 +101,11 @@ class Vacuum:
         """What the held block loads the cup with: force [N] and moment about the tool point [N m],
         each float64[3] in the tool frame."""
         d, w = self.data, self.world
-        # The weld comes last among the equalities, which come first: the force at the cup, then
-        # the moment in the frame of the block, in units of twice the turn.
-        rows = d.efc_force[d.ne - 6 : d.ne]
-        tool = d.site_xmat[w.tool].reshape(3, 3)
+        # Of the weld, among the equalities, which come first: the force at the cup, then the moment
+        # in the frame of the block, in units of twice the turn.
+        first = int(np.argmax(d.efc_id[: d.ne] == self._weld))
+        rows = d.efc_force[first : first + 6]
+        tool = d.site_xmat[self.parts.tool].reshape(3, 3)
         if self.used.lip.axis != UPRIGHT:
             tool = tool @ self.used.lip.frame()
         block = d.xmat[w.first + (self.held or 0)].reshape(3, 3)
@@ -108,9 +113,9 @@ class Vacuum:
 
     def _lip(self, cup: Cup) -> tuple[np.ndarray, np.ndarray]:
         """Where the middle of a lip is, float64[3] [m], and axes of the cup float64[3, 3]."""
-        d, w = self.data, self.world
-        tool = d.site_xmat[w.tool].reshape(3, 3)
-        return d.site_xpos[w.tool] + tool @ np.array(cup.lip.at), tool @ cup.lip.frame()
+        d, site = self.data, self.parts.tool
+        tool = d.site_xmat[site].reshape(3, 3)
+        return d.site_xpos[site] + tool @ np.array(cup.lip.at), tool @ cup.lip.frame()
 
     def closed_on(self, number: int, cup: Cup | None = None) -> bool:
         """Whether the lip of a cup, by default the one that is used, is closed on a face of an
@@ -152,8 +157,8 @@ class Vacuum:
         m.eq_obj2id[self._weld] = body
         values = m.eq_data[self._weld]
         values[:3] = d.xmat[body].reshape(3, 3).T @ (point - d.xpos[body])
-        tool = rotation_matrix(m.site_quat[self.world.tool])
-        values[3:6] = m.site_pos[self.world.tool] + tool @ np.array(self.used.lip.at)
+        tool = rotation_matrix(m.site_quat[self.parts.tool])
+        values[3:6] = m.site_pos[self.parts.tool] + tool @ np.array(self.used.lip.at)
         turn = np.empty(4)
         mujoco.mju_negQuat(turn, d.xquat[self._hand])
         mujoco.mju_mulQuat(values[6:10], turn, d.xquat[body])
@@ -170,7 +175,7 @@ class Vacuum:
 
     def _watch(self) -> None:
         """Compare the load with what the cup can hold."""
-        if self.data.ne < 6:
+        if not (self.data.efc_id[: self.data.ne] == self._weld).any():
             return  # taken after this step
         force, moment = self.load()
         off, slip = self.used.load(force, moment)
@@ -202,7 +207,7 @@ class Vacuum:
         mujoco.mju_negQuat(error, values[6:10])
         mujoco.mju_mulQuat(error, now, error.copy())
         mujoco.mju_quat2Vel(angle, error, 1.0)
-        axis = rotation_matrix(m.site_quat[self.world.tool]) @ np.array(self.used.lip.axis)
+        axis = rotation_matrix(m.site_quat[self.parts.tool]) @ np.array(self.used.lip.axis)
         mujoco.mju_axisAngle2Quat(error, axis, share * float(axis @ angle))
         mujoco.mju_mulQuat(now, error, values[6:10].copy())
         values[6:10] = now

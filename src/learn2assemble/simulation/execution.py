@@ -41,6 +41,7 @@ from learn2assemble.simulation.model import (
 from learn2assemble.simulation.prepare import Course, leaving, rest_pose
 from learn2assemble.simulation.trajectory import (
     PathLimits,
+    PathSamples,
     Segment,
     approach_speed_limits,
     limits_along,
@@ -242,14 +243,7 @@ class Execution:
         run = motion(path, bounds, TIMESTEP, segments)
         begins = np.searchsorted(run.progress[:, 0], [guard.begin for guard in guards]).tolist()
         at = (g._replace(begin=k * TIMESTEP) for g, k in zip(guards, begins, strict=True))
-        start = self.joints[None]
-        told = Motion(
-            stage,
-            TIMESTEP * np.arange(len(run.position) + 1),
-            np.vstack([start, run.position]),
-            np.vstack([np.zeros_like(start), run.velocity]),
-        )
-        return self.do(told, tuple(at), commands)
+        return self.do(_from_rest(stage, self.joints, run), tuple(at), commands)
 
     def wait(
         self, seconds: float, stage: str, guard: Guard, commands: tuple[ToolCommand, ...] = ()
@@ -523,6 +517,24 @@ class Execution:
         path = joint_path(np.vstack([self.joints, above]), limits)
         self.follow(path, self.bounds(path, limits), stage, (guard,))
         self.inside = None
+
+
+def straight_motion(way: np.ndarray, limits: Limits, stage: str) -> Motion:
+    """The motion along the straight line between two positions of the joints, float64[2, n] [rad],
+    as fast as the limits allow."""
+    path = joint_path(way, limits)
+    run = motion(path, limits_along(path, limits, quickest=True), TIMESTEP)
+    return _from_rest(stage, way[0], run)
+
+
+def _from_rest(stage: str, start: np.ndarray, run: PathSamples) -> Motion:
+    """What a plant is told of samples that are one step apart, from joints float64[n] [rad]."""
+    return Motion(
+        stage,
+        TIMESTEP * np.arange(len(run.position) + 1),
+        np.vstack([start[None], run.position]),
+        np.vstack([np.zeros_like(start[None]), run.velocity]),
+    )
 
 
 def told(run: Motion, report: Report) -> Played:

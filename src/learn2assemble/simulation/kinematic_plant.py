@@ -60,7 +60,7 @@ class KinematicPlant(SimulatedCell):
         guards: Sequence[Guard] = (),
     ) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
-        check_motion(self.setup, motion.joints, self.joints)
+        check_motion(self.arm, motion.joints, self.joints)
         moves = bool(len(motion.joints) and np.ptp(motion.joints, axis=0).any())
         stop, seconds = Stop.END, motion.seconds
         share = self.drop_share() if moves and motion.stage == "cross" and self.hand else None

@@ -1,4 +1,4 @@
-"""MuJoCo models of the cell: the arm, a table, and one free body per object of a scene.
+"""MuJoCo models of the cell: its arms, a table, and one free body per object of a scene.
 
 Settings that hold a block by friction alone and let structures rest:
 
@@ -16,6 +16,7 @@ A move in a scene as the simulation sees it: rigid objects with poses, one to be
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -29,7 +30,7 @@ from learn2assemble.geometry.rotations import (
     quaternion_matrix,
     rotate_vectors,
 )
-from learn2assemble.robot.arm import Arm, arm_spec
+from learn2assemble.robot.arm import Arm, arms_spec, prefix_of
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.moves import (
@@ -71,7 +72,8 @@ PLAN_MARGIN = 0.005
 LOOK = 0.02
 """Distances up to this are measured when ways are planned [m]."""
 TABLE, ARM, PAD = -1, -2, -3
-"""Kinds of geoms in :attr:`SimulatedWorld.kind` that belong to no object."""
+"""Kinds of geoms in :attr:`SimulatedWorld.kind` that belong to no object; those of the next arm are
+two lower each."""
 
 _ARM_BIT, _THING_BIT, _HELD_BIT = 1, 2, 4
 _FAR = (0.0, 0.0, 50.0)
@@ -290,15 +292,11 @@ def concerned(
     return found[number]
 
 
-class SimulatedWorld(NamedTuple):
-    """A compiled cell and where things are in it."""
+class ArmParts(NamedTuple):
+    """Where one arm is in a compiled cell."""
 
-    spec: mujoco.MjSpec
-    model: mujoco.MjModel
-    plan: mujoco.MjModel
-    """The same to plan ways with: a margin around the arm, and objects do not meet each other."""
     joint: np.ndarray
-    """int64[n]: addresses of the arm's joints in qpos and qvel (the arm comes first)."""
+    """int64[n]: addresses of its joints in qpos and qvel (arms come first)."""
     finger: np.ndarray
     """int64[f]: the same of the fingers."""
     drive: np.ndarray
@@ -309,14 +307,35 @@ class SimulatedWorld(NamedTuple):
     """float64[n]: of the drives [N m/rad]."""
     damping: np.ndarray
     """float64[n]: of the drives [N m s/rad]."""
+    tool: int
+    """Site of the tool."""
+    pads: tuple[int, ...]
+    """Geoms of the pads; none for a suction tool."""
+    cup: int
+    """Equality that holds what is in the cup; -1 for fingers."""
+    kinds: tuple[int, int]
+    """Of its geoms and of its pads, in :attr:`SimulatedWorld.kind`."""
+
+    @property
+    def actuators(self) -> np.ndarray:
+        """int64[u]: all of its actuators."""
+        return self.drive if self.gripper < 0 else np.append(self.drive, self.gripper)
+
+
+class SimulatedWorld(NamedTuple):
+    """A compiled cell and where things are in it."""
+
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+    plan: mujoco.MjModel
+    """The same to plan ways with: a margin around the arm, and objects do not meet each other."""
+    arms: tuple[ArmParts, ...]
     pose: int
     """Address of the first object's pose in qpos; each takes 7 numbers."""
     tree: int
     """Kinematic tree of the first object; one each."""
     kind: np.ndarray
     """int64[g]: object a geom belongs to, or TABLE, ARM, PAD."""
-    tool: int
-    """Site of the tool."""
     first: int
     """Body of the first object; one each, those that are held still follow."""
     num_still: int
@@ -328,7 +347,7 @@ class SimulatedWorld(NamedTuple):
 
 
 def compile_world(
-    arm: Arm,
+    arms: Sequence[Arm],
     shape: tuple[tuple[Box, ...], ...],
     friction: float,
     num_still: int = 0,
@@ -339,7 +358,7 @@ def compile_world(
     """The cell with these objects, somewhere.
 
     Args:
-        arm: the robot.
+        arms: the robots; ways are planned for the first one.
         shape: see :attr:`Objects.shape`.
         friction: between blocks, and of blocks on the table.
         num_still: room for so many cells that are held still, see :func:`hold_still`.
@@ -347,7 +366,7 @@ def compile_world(
         gravity: [m/s^2].
         num_welds: room for so many joints of studs, see :class:`~.clutch.Clutch`.
     """
-    spec = arm_spec(arm)
+    spec = arms_spec(arms)
     set_options(spec, TIMESTEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST, gravity)
     spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     # The feed-forward of a drive may ask for more than the joint's range.
@@ -367,13 +386,15 @@ def compile_world(
         box = spec.worldbody.add_body(name=f"still{number}", pos=_FAR)
         geom = box.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[HALF] * 3)
         set_contact(geom, surface)
-    if arm.suction is not None:
+    for number, arm in enumerate(arms):
+        if arm.suction is None:
+            continue
         # The block in the cup: which one, where, and whether, is said when it is attached.
         weld = spec.add_equality(
-            name="cup",
+            name=f"{prefix_of(number)}cup",
             type=mujoco.mjtEq.mjEQ_WELD,
             objtype=mujoco.mjtObj.mjOBJ_BODY,
-            name1=arm.gripper.hand,
+            name1=f"{prefix_of(number)}{arm.gripper.hand}",
             name2="object0" if shape else "",
             active=False,
             solref=_CUP_REF,
@@ -387,10 +408,11 @@ def compile_world(
     plan.opt.enableflags = 0
     for part in arm_parts:
         part.margin = 0.0
-    world = _world(arm, spec, spec.compile(), plan, shape, num_still)._replace(num_welds=num_welds)
+    world = _world(arms, spec, spec.compile(), plan, shape, num_still)._replace(num_welds=num_welds)
     arm_bits, thing_bits = (_ARM_BIT, _ARM_BIT | _THING_BIT), (_THING_BIT, _ARM_BIT | _HELD_BIT)
     for geom, kind in enumerate(world.kind):
-        bits = thing_bits if kind >= TABLE else arm_bits
+        # What belongs to another arm is a thing.
+        bits = arm_bits if kind in (ARM, PAD) else thing_bits
         if plan.geom_contype[geom] or plan.geom_conaffinity[geom]:
             plan.geom_contype[geom], plan.geom_conaffinity[geom] = bits
     return world
@@ -446,7 +468,7 @@ def set_held(world: SimulatedWorld, held: int | None) -> None:
 
 
 def _world(
-    arm: Arm,
+    arms: Sequence[Arm],
     spec: mujoco.MjSpec,
     model: mujoco.MjModel,
     plan: mujoco.MjModel,
@@ -458,26 +480,51 @@ def _world(
     first = model.nbody if lowest is None else model.body(lowest).id
     kind = np.where(body >= first, body - first, ARM)
     kind[model.geom("table").id] = TABLE
-    kind[[model.geom(name).id for name in arm.gripper.pads]] = PAD  # none for a cup
-    drive = np.array([_drive_of(model, name) for name in arm.joints])
+    parts = tuple(_parts(model, arm, number) for number, arm in enumerate(arms))
+    for number, one in enumerate(parts[1:], 1):
+        name = prefix_of(number)
+        mine = np.array([model.body(k).name.startswith(name) for k in range(model.nbody)])
+        kind[mine[body]] = one.kinds[0]
+    for one in parts:
+        kind[list(one.pads)] = one.kinds[1]
     return SimulatedWorld(
         spec,
         model,
         plan,
-        joint=np.array([model.joint(name).qposadr[0] for name in arm.joints]),
-        finger=np.array([model.joint(name).qposadr[0] for name in arm.gripper.joints], np.int64),
-        drive=drive,
-        gripper=-1 if arm.suction else model.actuator(arm.gripper.actuator).id,
-        stiffness=-model.actuator_biasprm[drive, 1],
-        damping=-model.actuator_biasprm[drive, 2],
+        parts,
         pose=model.nq - 7 * count,
         tree=model.ntree - count,
         kind=kind,
-        tool=model.site(arm.tool).id,
         first=first,
         num_still=num_still,
         solids=_solids(model, shape, first),
     )
+
+
+def _parts(model: mujoco.MjModel, arm: Arm, number: int) -> ArmParts:
+    """Where an arm of a cell is."""
+    name = prefix_of(number)
+    gripper = arm.gripper
+    drive = np.array([_drive_of(model, name + joint) for joint in arm.joints])
+    return ArmParts(
+        joint=np.array([model.joint(name + joint).qposadr[0] for joint in arm.joints]),
+        finger=np.array([model.joint(name + one).qposadr[0] for one in gripper.joints], np.int64),
+        drive=drive,
+        gripper=-1 if arm.suction else model.actuator(name + gripper.actuator).id,
+        stiffness=-model.actuator_biasprm[drive, 1],
+        damping=-model.actuator_biasprm[drive, 2],
+        tool=model.site(name + arm.tool).id,
+        pads=tuple(model.geom(name + pad).id for pad in gripper.pads),
+        cup=model.equality(f"{name}cup").id if arm.suction else -1,
+        kinds=(ARM - 2 * number, PAD - 2 * number),
+    )
+
+
+def part_of(box: Box) -> Part:
+    """A box of an object, in the frame of the object."""
+    centre, half, *own = box
+    hull = next((one for one in own if isinstance(one, Hull)), None)
+    return Part(_three(centre), _three(half), hull)
 
 
 def _solids(
@@ -486,9 +533,7 @@ def _solids(
     found = {}
     for number, boxes in enumerate(shape):
         begin = int(model.body_geomadr[first + number])
-        for k, (centre, half, *own) in enumerate(boxes):
-            hull = next((one for one in own if isinstance(one, Hull)), None)
-            found[begin + k] = Part(_three(centre), _three(half), hull)
+        found |= {begin + k: part_of(box) for k, box in enumerate(boxes)}
     return found
 
 

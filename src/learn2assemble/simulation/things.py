@@ -14,6 +14,7 @@ import numpy as np
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.plant import PlantError, Readings, Report, Request, Stop, ToolReading
 from learn2assemble.motion.setup import BlockKind, Setup
+from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.bodies import Shape, body_of, overlaps, solids
 from learn2assemble.simulation.disturbances import (
     DROPPED,
@@ -230,7 +231,7 @@ def nearest(things: dict[str, Thing], points: list[np.ndarray], within: float) -
     return found
 
 
-def check_motion(setup: Setup, joints: np.ndarray, now: np.ndarray) -> None:
+def check_motion(arm: Arm, joints: np.ndarray, now: np.ndarray) -> None:
     """Refuse a motion that does not begin where the arm is, or leaves the joints' ranges.
 
     Raises:
@@ -238,8 +239,8 @@ def check_motion(setup: Setup, joints: np.ndarray, now: np.ndarray) -> None:
     """
     if not len(joints):
         return
-    if joints.shape[1] != len(setup.arm.joints) or not np.isfinite(joints).all():
-        raise PlantError(Stop.REFUSED, f"a motion that is not of {len(setup.arm.joints)} joints")
+    if joints.shape[1] != len(arm.joints) or not np.isfinite(joints).all():
+        raise PlantError(Stop.REFUSED, f"a motion that is not of {len(arm.joints)} joints")
     off = float(np.abs(joints[0] - now).max())
     if off > 1e-3:
         raise PlantError(Stop.REFUSED, f"a motion that begins {off:.3f} rad from where the arm is")

@@ -56,6 +56,7 @@ class WorldChecker(CollisionChecker):
     ) -> None:
         super().__init__(arm, world.plan)
         self.world, self.names, m = world, names, self.model
+        self.parts = world.arms[0]
         self._poses = self.data.qpos[world.pose :].reshape(-1, 7)
         self._begin = poses
         self._is_arm = (world.kind == ARM) | (world.kind == PAD)
@@ -138,8 +139,9 @@ class WorldChecker(CollisionChecker):
         self.move_arm(joints)
         if self._held is not None:
             target, position, rotation = self._held
-            tool = d.site_xmat[w.tool].reshape(3, 3)
-            self._poses[target, :3] = d.site_xpos[w.tool] + tool @ position
+            site = self.parts.tool
+            tool = d.site_xmat[site].reshape(3, 3)
+            self._poses[target, :3] = d.site_xpos[site] + tool @ position
             mujoco.mju_mat2Quat(self._poses[target, 3:], (tool @ rotation).ravel())
             mujoco.mj_kinematics(m, d)
         mujoco.mj_collision(m, d)
@@ -188,13 +190,15 @@ class WorldChecker(CollisionChecker):
 
 def _reaches(model: mujoco.MjModel, world: SimulatedWorld) -> np.ndarray:
     """float64[n]: bounds of the distances of the arm's points from its joints' axes [m]."""
-    first = model.jnt_bodyid[world.joint]
+    arm = world.arms[0]
+    first = model.jnt_bodyid[arm.joint]
     length = np.linalg.norm(model.body_pos, axis=1)
-    length[model.jnt_bodyid[world.finger]] += model.jnt_range[world.finger, 1]
+    length[model.jnt_bodyid[arm.finger]] += model.jnt_range[arm.finger, 1]
     away = np.linalg.norm(model.geom_pos, axis=1) + model.geom_rbound
     out = np.zeros(len(first))
-    parts = [(int(model.geom_bodyid[g]), away[g]) for g in np.flatnonzero(world.kind < TABLE)]
-    parts.append((int(model.site_bodyid[world.tool]), np.linalg.norm(model.site_pos[world.tool])))
+    own = np.flatnonzero(np.isin(world.kind, arm.kinds))
+    parts = [(int(model.geom_bodyid[g]), away[g]) for g in own]
+    parts.append((int(model.site_bodyid[arm.tool]), np.linalg.norm(model.site_pos[arm.tool])))
     for body, reach in parts:
         while body:
             out[first == body] = np.maximum(out[first == body], reach)
