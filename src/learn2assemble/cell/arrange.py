@@ -111,28 +111,7 @@ class Structure:
         """Unit vectors along which a block may come to its place, the best ones first: straight
         down, or at right angles to the joints on which it comes to lean where these are steep;
         where blocks lean also others that lead away from all it touches."""
-        if not self.leans:
-            return (DOWN,)
-        faces = self.contacts
-        touched = [
-            normal if b == block else -normal
-            for a, b, normal in zip(faces.a.tolist(), faces.b.tolist(), faces.normal, strict=True)
-            if block in (a, b) and (a if b == block else b) in {*standing, -1}
-        ]
-        carried = [normal for normal in touched if normal[2] > LEANING]
-        if not carried:
-            return (DOWN,)
-        normals, up = np.array(touched), np.array([0.0, 0.0, 1.0])
-        mean = np.sum(carried, axis=0)
-        best = [mean / np.linalg.norm(mean), up]
-        if min(float(normal[2]) for normal in carried) > STEEP_JOINT:
-            best.reverse()
-        best = [way for way in best if way is up or (normals @ way).min() > -1e-6]
-        others = ways_out(normals)
-        others = others[others[:, 2] > LOW_WAY]
-        room = (others @ normals.T).min(1)
-        best += list(others[np.argsort(-room, kind="stable")[:MORE_WAYS]])
-        return tuple(direction_of(-way) for way in best)
+        return ways_in(self.contacts, block, standing) if self.leans else (DOWN,)
 
     def stands(self, standing: frozenset[int]) -> bool:
         """Whether these pieces stand without the others, by the proof of the plan or another."""
@@ -197,6 +176,32 @@ class Structure:
                     found.append(upper)
                     queue.append(upper)
         return sorted(found, key=lambda k: -self.job.pieces[k].target[2])
+
+
+def ways_in(faces: Contacts, block: int, standing: set[int]) -> tuple[Direction, ...]:
+    """The same of blocks that lean on one another at faces that touch."""
+    touched = [
+        normal if b == block else -normal
+        for a, b, normal in zip(faces.a.tolist(), faces.b.tolist(), faces.normal, strict=True)
+        if block in (a, b) and (a if b == block else b) in {*standing, -1}
+    ]
+    carried = [normal for normal in touched if normal[2] > LEANING]
+    if not carried and all(normal[2] > -LEANING for normal in touched):
+        return (DOWN,)
+    normals, up = np.array(touched), np.array([0.0, 0.0, 1.0])
+    best: list[np.ndarray] = []
+    if carried:
+        mean = np.sum(carried, axis=0)
+        best = [mean / np.linalg.norm(mean), up]
+        if min(float(normal[2]) for normal in carried) > STEEP_JOINT:
+            best.reverse()
+        best = [way for way in best if way is up or (normals @ way).min() > -1e-6]
+    # What nothing carries, as it is held, comes past what hangs over it.
+    others = ways_out(normals)
+    others = others[others[:, 2] > LOW_WAY]
+    room = (others @ normals.T).min(1)
+    best += list(others[np.argsort(-room, kind="stable")[:MORE_WAYS]])
+    return tuple(direction_of(-way) for way in best)
 
 
 def segments(steps: Sequence[StepOf]) -> list[list[StepOf]]:
@@ -307,7 +312,7 @@ def try_step(
     before = world.pose[k].copy()
     try:
         why, supplied = "", False
-        for at, goal in _ends(world, step):
+        for at, goal in ends_of(world, step):
             supplied = True
             if at is not None:
                 world.pose[k] = at
@@ -322,7 +327,7 @@ def try_step(
         world.pose[k] = before
 
 
-def _ends(world: WorkcellBlocks, step: StepOf) -> Iterator[tuple[np.ndarray | None, np.ndarray]]:
+def ends_of(world: WorkcellBlocks, step: StepOf) -> Iterator[tuple[np.ndarray | None, np.ndarray]]:
     """Where the block of a step may come from, None for where it stands, and where it goes."""
     k = step.block
     if step.group:

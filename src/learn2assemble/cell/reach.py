@@ -155,7 +155,7 @@ def way_down(cache: ApproachCache, piece: Piece, pose: np.ndarray, top: float) -
     return why or "the tool cannot hold it"
 
 
-def _check_sources(arm: Arm, given: Sequence[Source], pieces: Sequence[Piece], top: float) -> None:
+def check_reached(arm: Arm, given: Sequence[Source], pieces: Sequence[Piece], top: float) -> None:
     """Refuse places of a layout that are out of reach.
 
     Raises:
@@ -329,8 +329,8 @@ def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
         if found.out:
             raise _out_of_reach(name, pieces, found, suggest(name, tool, pieces))
         arm = resting(place_arm(name, tool, site.base), site.base[3], pieces)
-        _check_sources(arm, given, pieces, top)
-        return _supplied(replace(job, arm=arm), given, site)
+        check_reached(arm, given, pieces, top)
+        return supplied(replace(job, arm=arm), given, site)
     key, fault, most, second = extreme(pieces), None, None, None
     for base in bases(pieces):
         arm = place_arm(name, tool, base)
@@ -340,16 +340,16 @@ def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
         if found.out or reach_from(arm, base, pieces).out:
             continue
         try:
-            _check_sources(arm, given, pieces, top)
+            check_reached(arm, given, pieces, top)
             here = replace(job, arm=resting(arm, base[3], pieces))
             if takes_away(here):
-                return _supplied(here, given, site)
+                return supplied(here, given, site)
             second = second or here
         except InputError as error:
             fault = fault or error
     if second is not None:
         # The order will say what cannot be taken away.
-        return _supplied(second, given, site)
+        return supplied(second, given, site)
     if fault is not None:
         raise fault
     best = _whole(name, tool, pieces, most)
@@ -410,8 +410,11 @@ def resting(arm: Arm, facing: float, pieces: Sequence[Piece]) -> Arm:
     return arm
 
 
-def _supplied(job: Job, given: list[Source], site: Site) -> Job:
+def supplied(job: Job, given: Sequence[Source], site: Site, others: Sequence[Any] = ()) -> Job:
     """The job with magazines for what the layout gives no source for.
+
+    Args:
+        others: shapely areas that are taken already.
 
     Raises:
         InputError: where there is no room.
@@ -426,7 +429,7 @@ def _supplied(job: Job, given: list[Source], site: Site) -> Job:
     cell = KinematicCell(job.arm, cells_of(job))
     clear = HAND_CLEAR if job.assembly.holds else CLEAR
     structure = shapely.union_all([p.face() for p in job.pieces]).buffer(clear)
-    taken = [source.area.buffer(APART) for source in given]
+    taken = [*others, *(source.area.buffer(APART) for source in given)]
     taken += [outline(o).buffer(2 * APART) for o in job.obstacles if o.bottom < OVERHEAD]
     taken.append(shapely.Point(*job.base).buffer(0.16))
     table = shapely.box(*(-np.array(site.table) / 2), *(np.array(site.table) / 2))

@@ -25,6 +25,7 @@ from learn2assemble.cell.pieces import (
     turn_key,
     waiting,
 )
+from learn2assemble.cell.site_arms import SiteArm, parse_arms
 from learn2assemble.errors import InputError, check_name
 from learn2assemble.files import load_json, read_bytes, read_text, too_deep
 from learn2assemble.motion.safety import SECTION as SAFETY
@@ -54,6 +55,7 @@ _KEYS = (
     "version",
     "units",
     "base",
+    "arms",
     "table",
     "obstacles",
     "magazines",
@@ -152,6 +154,8 @@ class Site:
     lean: tuple[float, float] = (0.0, 0.0)
     """Along x and y of the table, the axis of the base that should be upright, as a calibration
     found it. Builds are planned for an upright base."""
+    arms: tuple[SiteArm, ...] = ()
+    """Where there are several: who they are and where they stand; ``base`` then is of none."""
 
     @property
     def kept_out(self) -> tuple[Obstacle, ...]:
@@ -203,6 +207,13 @@ def _site(value: Any, source: str, folder: Path) -> Site:
     obstacles = tuple(box for found in boxes for box in found)
     if len(obstacles) > MAX_PLACES:
         raise InputError(f"{source}: obstacles", f"{len(obstacles)} boxes", f"at most {MAX_PLACES}")
+    arms: tuple[SiteArm, ...] = ()
+    if "arms" in root:
+        if base is not None:
+            raise InputError(f"{source}: base", "given", "none beside arms, which have their own")
+        given = root.get("magazines", ())
+        count = len(given) if isinstance(given, Sequence) else 0
+        arms = parse_arms(root["arms"], f"{source}: arms", count)
     site = Site(
         base,
         (width, depth),
@@ -215,6 +226,7 @@ def _site(value: Any, source: str, folder: Path) -> Site:
         every("cameras", parse_camera),
         parse_safety(root.get(SAFETY, {}), f"{source}: {SAFETY}"),
         lean,
+        arms,
     )
     check_names(site.cameras, f"{source}: cameras")
     blocks = len(site.positions) + sum(p.rows * p.columns for p in site.pallets)

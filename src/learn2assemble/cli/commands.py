@@ -132,7 +132,13 @@ STATE = "build.jsonl"
             help="of given blocks, how many a hand may hold while the next one comes (0)",
         ),
     ),
-    arg("--arm", default=None, help=f"an arm builds it: {' or '.join(ARMS)}"),
+    arg(
+        "--arm",
+        action="append",
+        default=None,
+        help=f"an arm builds it: {' or '.join(ARMS)}; given twice, two arms are planned for, one "
+        "of which holds while the other one places",
+    ),
     arg(
         "--layout",
         type=named,
@@ -178,7 +184,7 @@ def _build(options: argparse.Namespace, output: Output) -> int:
 
     with_arm, task = builds_with_arm(options.design, options.arm), is_task(options.design)
     video = options.video and with_arm
-    state = options.out / STATE if options.arm and not task else None
+    state = options.out / STATE if with_arm and not task else None
     if options.resume and (state is None or not state.exists()):
         return _resume_finished(options, output)
     planner = options.planner or (None if options.agent is None or task else "agent")
@@ -225,9 +231,9 @@ def _resume_finished(options: argparse.Namespace, output: Output) -> int:
         check_exists(options.out, "folder of a build, to --resume")
         raise refused
     plan = Plan.load(options.out)
-    arm = None if plan.arm is None else plan.arm.name
+    arms = [arm.arm for arm in plan.arms] or ([] if plan.arm is None else [plan.arm.name])
     own = options.arm is None and is_task(options.design)  # The arm of the task.
-    if not plan.complete or not (own or options.arm == arm):
+    if not plan.complete or not (own or (options.arm or []) == arms):
         raise refused
     output.say(f"{plan.design.name}: {plan.status} already, {plan.blocks.used} blocks; {file}")
     output.finish({**_summary(plan), "files": {"plan": str(file)}})
@@ -286,6 +292,7 @@ def _summary(plan: Plan) -> dict[str, Any]:
         "friction_range": plan.friction_range,
         "gap_range": plan.gap_range,
         **({"arm": to_plain(plan.arm)} if plan.arm else {}),
+        **({"arms": [to_plain(arm) for arm in plan.arms]} if plan.arms else {}),
         **(to_plain(plan.rebuilt) if plan.rebuilt else {}),
     }
 

@@ -24,6 +24,7 @@ from learn2assemble.robot.registry import ARMS
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly
+    from learn2assemble.cell.team import TeamReach
     from learn2assemble.cli.output import Output
 
 COMMANDS: dict[str, Command] = {}
@@ -59,7 +60,7 @@ def _write_page(
     "what of a design an arm reaches, and from where it reaches most",
     "l2a reach examples/designs/h.svg --arm panda --out out/reach",
     arg("design", metavar="DESIGN", help="a drawing, picture, mesh, voxels or blocks"),
-    arg("--arm", required=True, help=" or ".join(ARMS)),
+    arg("--arm", action="append", required=True, help=f"{' or '.join(ARMS)}; twice for two arms"),
     arg("--tool", default="suction", help="suction (default), suction-side or gripper"),
     reading_arguments,
     arg("--layout", type=named, default=None, metavar="FILE", help="with the base asked about"),
@@ -67,6 +68,7 @@ def _write_page(
 )
 def _reach(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where everything is within reach, else 1."""
+    from learn2assemble.cell.team import TeamReach
     from learn2assemble.jobs.build import reach
 
     with _claimed(options.out):
@@ -78,6 +80,8 @@ def _reach(options: argparse.Namespace, output: Output) -> int:
             layout=options.layout,
             **reading_of(options),
         )
+        if isinstance(found, TeamReach):
+            return _team_reach(found, options.out, output)
         here, best, blocks = found.here, found.best, found.assembly.blocks
         rows = [
             (blocks[k].id, blocks[k].kind, *(f"{v:.3f}" for v in blocks[k].centroid), why)
@@ -120,6 +124,47 @@ def _reach(options: argparse.Namespace, output: Output) -> int:
         }
     )
     return 0 if found.complete else 1
+
+
+def _team_reach(found: TeamReach, out: Path | None, output: Output) -> int:
+    """What each of several arms and both reach."""
+    assert found.assembly is not None
+    blocks = found.assembly.blocks
+    rows = [
+        (one.name, one.arm, reach.words, str(found.count - len(reach.out)))
+        for one, reach in zip(found.arms, found.reaches, strict=True)
+    ]
+    output.table(f"within reach, of {found.count} blocks", ("name", "arm", "base", "blocks"), rows)
+    none = [blocks[k].id for k in found.out]
+    said = f"both reach {found.both}, none reaches {len(none)}"
+    output.say(said)
+    files = _write_page(
+        out,
+        output,
+        found.assembly,
+        "out of reach" if none else "within reach",
+        title=found.assembly.name or "reach",
+        facts=[(row[0], f"{row[1]} at {row[2]}: {row[3]} blocks") for row in rows],
+        moving=none,
+    )
+    output.finish(
+        {
+            "arms": [
+                {
+                    "name": one.name,
+                    "arm": one.arm,
+                    "base": list(reach.base),
+                    "out_of_reach": {blocks[k].id: why for k, why in reach.out.items()},
+                }
+                for one, reach in zip(found.arms, found.reaches, strict=True)
+            ],
+            "blocks": found.count,
+            "both_reach": found.both,
+            "out_of_reach": none,
+            "files": files,
+        }
+    )
+    return 1 if none else 0
 
 
 @command(

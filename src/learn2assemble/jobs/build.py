@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import inspect
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard
@@ -32,6 +32,7 @@ from learn2assemble.errors import (
 from learn2assemble.jobs.kinds import (
     DEFAULT_TOOL,
     PHYSICS,
+    PLANNED,
     ArmChoice,
     Help,
     blocks_plan,
@@ -41,6 +42,7 @@ from learn2assemble.jobs.kinds import (
     goals_plan,
     has_studs,
     kit_of,
+    team_plan,
 )
 from learn2assemble.jobs.problems import NO_ARM, PROBLEMS
 from learn2assemble.planning.plan import Plan
@@ -50,6 +52,7 @@ from learn2assemble.robot.registry import ARMS
 if TYPE_CHECKING:
     from learn2assemble.cell.reach import ReachReport
     from learn2assemble.cell.site import Site
+    from learn2assemble.cell.team import TeamReach
 
 SUPPORTS = ("auto", "none", "props", "posts")
 """What may carry blocks until they carry themselves."""
@@ -69,7 +72,7 @@ def build(
     holds: int = 0,
     hands: bool = False,
     shell: int | None = None,
-    arm: str | None = None,
+    arm: str | Sequence[str] | None = None,
     agent: str | Path | object | None = None,
     layout: str | Path | Site | None = None,
     seed: int = 0,
@@ -107,7 +110,9 @@ def build(
             beside; a hand then holds one while the next one comes.
         shell: of a design of bricks that clutch, how many cells its walls are thick; by default it
             is not hollow.
-        arm: name of the arm that builds; by default none, for a task its own.
+        arm: name of the arm that builds; by default none, for a task its own. Two names, also the
+            same twice: both build dry blocks, one holds while the other one places; they are
+            planned for with ``physics="kinematic"``, and nothing is carried out.
         agent: of a design, a builder by name or ``.safetensors`` file; of a task, an agent, a
             shipped one by name, a ``.safetensors`` file or the folder of a training; by default one
             that knows problems like this.
@@ -146,6 +151,7 @@ def build(
     check_name("supports", supports, SUPPORTS)
     _check_values(noise=noise, holds=holds, seed=seed, seconds=seconds, progress=progress)
     _check_names(build, reading)
+    arms = arm_names(arm)
     if is_task(design):
         if planner == EXACT:
             raise InputError("planner", EXACT, f"agent, for the task {design}")
@@ -166,11 +172,14 @@ def build(
             **dict.fromkeys(reading, True),
         }
         _refuse(given, f"a design (not the task {design})")
-        if arm is not None:
-            check_name("arm", arm, (*ARMS, NO_ARM))
+        for name in arms:
+            check_name("arm", name, (*ARMS, NO_ARM))
+        if len(arms) > 1:
+            raise InputError("arm", f"{len(arms)} arms", f"one, for the task {design}")
         limit = AGENT_SECONDS if seconds is None else seconds
+        own = arms[0] if arms else None
         return PROBLEMS[design].build(
-            arm=arm, agent=agent, seed=seed, seconds=limit, progress=progress
+            arm=own, agent=agent, seed=seed, seconds=limit, progress=progress
         )
     source = Path(design).name if isinstance(design, str | Path) else ""
     opened = open_design(design, PROBLEMS) if isinstance(design, str | Path) else design
@@ -179,11 +188,11 @@ def build(
         agent = PLANNERS[planner].resolve_agent(agent)
     choice = PlannerChoice(planner or EXACT, agent, seed)
     how = None
-    if old is not None and arm is not None:
+    if old is not None and arms:
         raise InputError("arm", arm, "none with a structure to take apart: that is planned by hand")
     standing = None if old is None else _read_old(old)
-    if arm is not None:
-        how = ArmChoice(arm, tool, layout, physics, noise, state, seed)
+    if arms:
+        how = ArmChoice(arms, tool, layout, physics, noise, state, seed)
         how.check()
     else:
         _refuse(
@@ -204,6 +213,8 @@ def build(
     help_ = Help(supports, holds, hands, shell)
     found = _read(opened, kit, supports != "none", reading)
     check_asked(found, kit, help_, choice.name)
+    if how is not None and how.several:
+        return team_plan(found, kit, how, help_, choice, given)
     workcell = None if how is None else how.workcell(has_studs(found, kit))
     if isinstance(found, CellDesign):
         kit = kit_of(found, kit)
@@ -228,18 +239,19 @@ def build(
 def reach(
     design: str | Path | np.ndarray | CellDesign | Assembly,
     *,
-    arm: str,
+    arm: str | Sequence[str],
     tool: str = DEFAULT_TOOL,
     kit: str | Kit | None = None,
     layout: str | Path | Site | None = None,
     seconds: float | None = None,
     **reading: Any,
-) -> ReachReport:
-    """What of a design an arm reaches, and from where it reaches most.
+) -> ReachReport | TeamReach:
+    """What of a design an arm reaches, and from where it reaches most; of two arms, what each and
+    both reach.
 
     Args:
         design, kit, reading, seconds: see :func:`build`; the exact planner chooses the blocks.
-        arm: name of the arm.
+        arm: name of the arm, or of two.
         tool: what it holds blocks with.
         layout: with the base that is asked about (``docs/layouts.md``).
 
@@ -249,13 +261,17 @@ def reach(
     if is_task(design):
         raise InputError("design", design, "a design; a task has places of its own")
     _check_names(reach, reading)
-    how = ArmChoice(arm, tool, layout, PHYSICS[0], (0.0, 0.0), None, 0)
+    how = ArmChoice(arm_names(arm), tool, layout, PLANNED, (0.0, 0.0), None, 0)
     how.check()
-    site = how.workcell().site
+    workcell = how.workcell()
     plan = build(design, planner="exact", kit=kit, seconds=seconds, **reading)
+    if how.several:
+        from learn2assemble.cell.team import report_team
+
+        return report_team(plan, how.team()[0])
     from learn2assemble.cell.reach import report_reach
 
-    return report_reach(plan, arm, tool, site)
+    return report_reach(plan, workcell.arm, workcell.tool, workcell.site)
 
 
 def cells_of(
@@ -287,9 +303,25 @@ def is_task(design: object) -> TypeGuard[str]:
     return isinstance(design, str) and design in PROBLEMS
 
 
-def builds_with_arm(design: object, arm: str | None = None) -> bool:
-    """Whether an arm would build this; arguments of :func:`build`."""
-    return PROBLEMS[design].has_arm(arm) if is_task(design) else arm is not None
+def builds_with_arm(design: object, arm: str | Sequence[str] | None = None) -> bool:
+    """Whether an arm would carry this out; arguments of :func:`build`."""
+    arms = arm_names(arm)
+    if is_task(design):
+        return PROBLEMS[design].has_arm(arms[0] if arms else None)
+    return len(arms) == 1
+
+
+def arm_names(arm: Any) -> tuple[str, ...]:
+    """The names of arms that a caller gives: one, several or None.
+
+    Raises:
+        InputError: for anything else.
+    """
+    if arm is None or isinstance(arm, str):
+        return () if arm is None else (arm,)
+    if not _is(arm, list, tuple) or not all(isinstance(name, str) for name in arm):
+        raise InputError("arm", arm, f"the name of an arm ({', '.join(ARMS)}), or two of them")
+    return tuple(arm)
 
 
 def _read_old(old: object) -> Assembly:

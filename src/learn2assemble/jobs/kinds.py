@@ -24,6 +24,7 @@ from learn2assemble.robot.registry import ARMS, TOOLS
 if TYPE_CHECKING:
     from learn2assemble.cell.carry_out import Workcell
     from learn2assemble.cell.site import Site
+    from learn2assemble.cell.site_arms import SiteArm
 
 
 DEFAULT_TOOL, FINGERS = "suction", "gripper"
@@ -31,8 +32,9 @@ DEFAULT_TOOL, FINGERS = "suction", "gripper"
 studs is held by fingers alone."""
 
 
-PHYSICS = ("dynamic", "kinematic")
-"""Cells in which an arm carries out exact plans."""
+PLANNED = "kinematic"
+PHYSICS = ("dynamic", PLANNED)
+"""Cells in which an arm carries out exact plans; two arms are planned for in the second alone."""
 
 
 class Help(NamedTuple):
@@ -45,9 +47,9 @@ class Help(NamedTuple):
 
 
 class ArmChoice(NamedTuple):
-    """How an arm carries out an exact plan; fields as the arguments of :func:`build`."""
+    """How arms carry out an exact plan; fields as the arguments of :func:`build`."""
 
-    arm: str
+    arms: tuple[str, ...]
     tool: str | None
     layout: str | Path | Site | None
     physics: str
@@ -56,19 +58,52 @@ class ArmChoice(NamedTuple):
     seed: int
 
     def check(self) -> None:
-        """Refuse names that do not exist, before libraries load."""
-        check_name("arm", self.arm, ARMS)
+        """Refuse what cannot be, before libraries load. A layout may have names of its own."""
+        for name in self.arms if self.layout is None else ():
+            check_name("arm", name, ARMS)
         if self.tool is not None:
             check_name("tool", self.tool, TOOLS)
         check_name("physics", self.physics, PHYSICS)
+        if self.several and self.physics != PLANNED:
+            got = f"{len(self.arms)} arms"
+            expected = f"one, or physics={PLANNED}, which plans for two and carries nothing out"
+            raise InputError("arm", got, expected)
+
+    @property
+    def several(self) -> bool:
+        """Whether more than one arm builds."""
+        return len(self.arms) > 1
+
+    def team(self) -> tuple[list[SiteArm], Site]:
+        """The arms by name, and the layout without them."""
+        from learn2assemble.cell.site_arms import named_arms
+
+        site = self._site()
+        return named_arms(self.arms, self.tool, site.arms), replace(site, arms=())
 
     def workcell(self, studs: bool = False) -> Workcell:
-        """The same with defaults, the layout read.
+        """That of one arm with defaults, the layout read.
 
         Args:
             studs: whether blocks have them.
         """
         from learn2assemble.cell.carry_out import Workcell
+
+        (one, *_), site = self.team()
+        if one.base is not None:
+            site = replace(site, base=one.base)
+        if one.magazines is not None:
+            site = replace(site, magazines=tuple(site.magazines[n] for n in one.magazines))
+        if site.cameras and any(self.noise):
+            names = ", ".join(camera.name for camera in site.cameras)
+            raise InputError("noise", self.noise, f"none: blocks are seen by {names}")
+        tool = one.tool or (FINGERS if studs else DEFAULT_TOOL)
+        if studs and tool != FINGERS:
+            raise InputError("tool", tool, f"{FINGERS}: a cup does not hold on studs")
+        return Workcell(one.arm, tool, site, self.physics, self.seed, self.noise, log=self.state)
+
+    def _site(self) -> Site:
+        """The layout, read."""
         from learn2assemble.cell.site import Site, read_site
 
         site = Site() if self.layout is None else self.layout
@@ -76,13 +111,7 @@ class ArmChoice(NamedTuple):
             site = read_site(Path(site))
         if not isinstance(site, Site):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise InputError("layout", site, "a layout (docs/layouts.md) or its file")
-        if site.cameras and any(self.noise):
-            names = ", ".join(camera.name for camera in site.cameras)
-            raise InputError("noise", self.noise, f"none: blocks are seen by {names}")
-        tool = self.tool or (FINGERS if studs else DEFAULT_TOOL)
-        if studs and tool != FINGERS:
-            raise InputError("tool", tool, f"{FINGERS}: a cup does not hold on studs")
-        return Workcell(self.arm, tool, site, self.physics, self.seed, self.noise, log=self.state)
+        return site
 
 
 def check_asked(
@@ -215,6 +244,48 @@ def _for_given(design: Assembly, workcell: Workcell) -> Workcell:
     ]
     check_held(get_arm(workcell.arm, workcell.tool), pieces)
     return replace(workcell, hands=True)
+
+
+def team_plan(
+    design: Assembly | CellDesign | Goals,
+    kit: Kit | None,
+    how: ArmChoice,
+    help_: Help,
+    planner: PlannerChoice,
+    given: dict[str, Any],
+) -> Plan:
+    """The plan by which several arms build, which hold for one another.
+
+    Raises:
+        InputError: for what has no dry blocks, and for arms that cannot build it together.
+    """
+    from learn2assemble.cell.team import plan_by_team
+
+    if isinstance(design, Goals):
+        raise InputError("goals", f"{len(how.arms)} arms", "one arm, or a design")
+    if has_studs(design, kit):
+        raise InputError("bricks that clutch", f"{len(how.arms)} arms", "one arm, or dry blocks")
+    arms, site = how.team()
+    options = {name: value for name, value in given.items() if name != "progress"}
+    posts, progress = help_.supports != "none", given["progress"]
+    if isinstance(design, Assembly):
+        return plan_by_team(design, arms, site, posts=posts, options=options, progress=progress)
+    kit = kit_of(design, kit)
+    plan = cells_plan(design, kit, None, posts, planner, given)
+    if not plan.complete or plan.assembly is None:
+        return plan
+    if options["gap"] is None:
+        options["gap"] = kit.joint_gap  # Side faces carry nothing.
+    found = plan_by_team(plan.assembly, arms, site, posts=posts, options=options, progress=progress)
+    return replace(
+        found,
+        design=plan.design,
+        kit=plan.kit,
+        cells=plan.cells,
+        planner=plan.planner,
+        seconds=round(plan.seconds + found.seconds, 3),
+        planning_s=plan.planning_s,
+    )
 
 
 def kit_of(design: CellDesign, kit: Kit | None) -> Kit:

@@ -124,10 +124,10 @@ def follow_steps(
         state = step.after(state)
         if step.action == "wait":
             continue
-        # A block that is held at once is not let go before.
-        ahead = held_at_once(steps, number) is not None
-        new = [step.block] if step.action in ("place", "release") and not ahead else []
-        if clock.left <= 0 or not (ahead or order.rules.stands(state, new)):
+        if held_at_once(steps, number) is not None:
+            continue  # The hand that placed it has it still: both steps are proven as one.
+        new = [step.block] if step.action in ("place", "release") else []
+        if clock.left <= 0 or not order.rules.stands(state, new):
             stuck = (step.block,)
             break
         proven = number + 1

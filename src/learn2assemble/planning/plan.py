@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from learn2assemble.errors import InputError
 from learn2assemble.files import MAX_GENERATED, as_path, read_json, write_file
+from learn2assemble.planning.reports import BuilderArm, RebuildReport
 from learn2assemble.registry import Registry
 from learn2assemble.values import Range, from_plain, integer, mapping, to_plain
 
@@ -250,25 +251,6 @@ class ArmReport:
 
 
 @dataclass(frozen=True)
-class RebuildReport:
-    """From a structure that stands already: how its blocks become those of the new one."""
-
-    moves: Count
-    """Blocks that are carried from one place to another. A block that is taken away right before
-    one of its kind is placed is carried there: one move."""
-    moves_bound: Count
-    """No order without help has fewer moves."""
-    kept: Count
-    """Blocks that stay where they are."""
-    taken: Count
-    """Blocks that are taken away, those among them that come back to the same place."""
-    placed: Count
-    """Blocks that are placed."""
-    supplied: Count = 0
-    """Of :attr:`placed`, those that the old structure has not."""
-
-
-@dataclass(frozen=True)
 class CellCount:
     """The drawing as cells of the kit's lattice."""
 
@@ -331,6 +313,8 @@ class Plan:
     rebuilt: RebuildReport | None = None
     """Where the steps begin at a structure that stands already."""
     arm: ArmReport | None = None
+    arms: tuple[BuilderArm, ...] = ()
+    """Where several arms build: who they are."""
     record: BuildRecord | None = field(
         default=None, compare=False, repr=False, metadata={"file": False}
     )

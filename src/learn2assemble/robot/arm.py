@@ -113,6 +113,8 @@ class Arm:
     """A name of :data:`~.registry.TOOLS`."""
     suction: Suction | None = None
     """The tool in place of the fingers; ``gripper`` then has none, and no opening."""
+    payload: float = np.inf
+    """Largest mass that it may carry, a tool in place of the fingers included [kg]."""
 
     @property
     def bounds(self) -> Limits:
@@ -223,7 +225,10 @@ def load_arm(path: Path) -> Arm:
             label: _branch(ranges, joints, limits, f"{where}, branches.{label}")
             for label, ranges in data.get("branches", {}).items()
         },
+        payload=float(numbers(data, "payload", 0, where)) if "payload" in data else np.inf,
     )
+    if arm.payload <= 0:
+        raise InputError(f"{where}, payload", arm.payload, "a number above 0 [kg]")
     if not arm.inside_limits(arm.home):
         raise InputError(f"{where}, home", arm.home.tolist(), "joints within their limits")
     return arm

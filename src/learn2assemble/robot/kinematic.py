@@ -401,6 +401,20 @@ class KinematicCell:
             return _failed(Outcome.PLACE_COLLISION, "retreat", hit)
         return Attempt(Outcome.REACHED, pick=pick, place=place)
 
+    def let_go(self, scene: Scene, move: Move) -> Attempt:
+        """The last part of a move: a block that stands at its target in the scene and that the hand
+        has held since it came is let go, and the arm leaves."""
+        self.collisions = self._checker(scene)
+        leave = self.approaches.solve(move.target, move.place, crossing_height(scene, move))
+        if isinstance(leave, str):
+            return Attempt(Outcome.UNREACHABLE, "release", leave)
+        self.collisions.place(scene)
+        self._open_hand()
+        hit = self._first(leave, grip_width(scene, move.cell, move.grasp) + ROOM)
+        if hit:
+            return _failed(Outcome.PLACE_COLLISION, "release", hit)
+        return Attempt(Outcome.REACHED, place=leave)
+
     def _detour(
         self, scene: Scene, move: Move, height: float, held: float
     ) -> tuple[np.ndarray, np.ndarray] | None:

@@ -1,0 +1,292 @@
+"""Two arms in one cell: where they stand, what each reaches, and the plan that they share.
+
+Without a layout the arms stand on two opposite sides of the site and each has magazines of its own,
+within its reach. The order is found with them (:mod:`.crew`): who brings which block, who holds
+it meanwhile with what its hand can give, and posts, set by hand, where that is not enough.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep
+from learn2assemble.cell.crew import ArmCrew, Member
+from learn2assemble.cell.pieces import Piece, pieces_of, with_rests
+from learn2assemble.cell.reach import (
+    APART,
+    Base,
+    Reach,
+    bases,
+    check_held,
+    check_reached,
+    extreme,
+    place_arm,
+    reach_from,
+    resting,
+    supplied,
+    way_down,
+)
+from learn2assemble.cell.site import Site, Source, given_sources, outline
+from learn2assemble.cell.site_arms import SiteArm
+from learn2assemble.cell.workcell import Job, StepOf
+from learn2assemble.errors import InputError
+from learn2assemble.planning.given import plan_assembly
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.reports import BuilderArm
+from learn2assemble.planning.sequence import Supports
+from learn2assemble.robot.approach import ApproachCache
+from learn2assemble.robot.arm import Arm, get_arm
+
+BESIDE = 0.32
+"""Bases stand no nearer to each other, for what they cover [m]."""
+BASE_RADIUS = 0.16
+"""What a base covers [m]."""
+TOOL = "suction"
+"""Of an arm of which nothing else is said."""
+
+
+@dataclass(frozen=True)
+class TeamReach:
+    """What several arms reach of a structure."""
+
+    arms: tuple[SiteArm, ...]
+    reaches: tuple[Reach, ...]
+    """Of each, from its base."""
+    count: int
+    """How many blocks there are."""
+    assembly: Assembly | None = None
+    """The blocks, to which these refer by index."""
+
+    @property
+    def out(self) -> list[int]:
+        """Blocks that none of them reaches."""
+        return sorted(set.intersection(*(set(reach.out) for reach in self.reaches)))
+
+    @property
+    def both(self) -> int:
+        """How many blocks each of them reaches."""
+        return self.count - len(set().union(*(reach.out for reach in self.reaches)))
+
+
+def team_reach(arms: Sequence[SiteArm], pieces: Sequence[Piece]) -> TeamReach:
+    """What arms reach from their bases, or from opposite sides of the site where these are free.
+
+    Raises:
+        InputError: for blocks that a tool cannot hold, and for bases on one spot.
+    """
+    for one in arms:
+        check_held(get_arm(one.arm, one.tool or TOOL), pieces)
+    if all(one.base is not None for one in arms):
+        _check_apart(arms)
+        return _reached(arms, pieces)
+    key, best = extreme(pieces), None
+    for base in bases(pieces):
+        found = _reached(_placed(arms, base), pieces, key)
+        cost = len(found.out), len(key) - (found.both - found.count + len(key))
+        if best is None or cost < best[0]:
+            best = cost, base
+        if best[0] == (0, 0):
+            break
+    assert best is not None
+    placed = _placed(arms, best[1])
+    _check_apart(placed)
+    return _reached(placed, pieces)
+
+
+def _placed(arms: Sequence[SiteArm], base: Base) -> tuple[SiteArm, ...]:
+    """Arms of which those without a base stand at one, and at the one across from it."""
+    x, y, z, facing = base
+    places = [base, (-x + 0.0, -y + 0.0, z, facing + math.pi)]
+    for one in arms:
+        if one.base is not None:  # The other one stands across from it.
+            u, v, height, yaw = one.base
+            places = [(-u + 0.0, -v + 0.0, height, yaw + math.pi)] * 2
+    return tuple(
+        one if one.base is not None else one._replace(base=place)
+        for one, place in zip(arms, places, strict=False)
+    )
+
+
+def _reached(
+    arms: Sequence[SiteArm], pieces: Sequence[Piece], which: Sequence[int] | None = None
+) -> TeamReach:
+    found = []
+    for one in arms:
+        assert one.base is not None
+        arm = place_arm(one.arm, one.tool or TOOL, one.base)
+        found.append(reach_from(arm, one.base, with_rests(pieces, arm), which))
+    return TeamReach(tuple(arms), tuple(found), len(pieces))
+
+
+def _check_apart(arms: Sequence[SiteArm]) -> None:
+    """Refuse bases on one spot."""
+    for k, one in enumerate(arms):
+        for other in arms[:k]:
+            assert one.base is not None
+            assert other.base is not None
+            away = math.dist(one.base[:2], other.base[:2])
+            if away < BESIDE:
+                got = f"bases {away:.2f} m apart"
+                raise InputError(f"arms {other.name} and {one.name}", got, f"at least {BESIDE:g} m")
+
+
+def report_team(plan: Plan, arms: Sequence[SiteArm]) -> TeamReach:
+    """What several arms reach of the blocks of a plan, props aside.
+
+    Raises:
+        InputError: as :func:`team_reach`, and for a plan without blocks.
+    """
+    if plan.assembly is None:
+        raise InputError("design", plan.reason or "no blocks", "a design that blocks fill")
+    bare = _without_props(plan.assembly)
+    return replace(team_reach(arms, pieces_of(bare)), assembly=bare)
+
+
+def _without_props(assembly: Assembly) -> Assembly:
+    """The blocks that stay, in no order."""
+    kept = tuple(block for block in assembly.blocks if not block.prop)
+    return replace(assembly, blocks=kept, steps=(), not_built=())
+
+
+# ---------------------------------------------------------------- the cell
+
+
+def set_up_team(assembly: Assembly, arms: Sequence[SiteArm], site: Site) -> list[Member]:
+    """The arms of a cell at their bases, each with places to take blocks from.
+
+    Args:
+        assembly: what is built; its steps are not looked at.
+        arms: who builds.
+        site: what the user has said of the cell.
+
+    Raises:
+        InputError: for what a tool cannot hold, bases on one spot, blocks that no arm reaches, a
+            magazine that none does, and where there is no room for one.
+    """
+    import shapely
+
+    if site.pallets or site.positions:
+        raise InputError(site.source, "pallets or positions", "magazines, for several arms")
+    if any(block.support for block in assembly.blocks):
+        raise InputError("design", "blocks that stand before the first step", "none, for an arm")
+    pieces = pieces_of(assembly)
+    found = team_reach(arms, pieces)
+    if out := found.out:
+        names = ", ".join(pieces[k].id for k in out[:3])
+        names += f" and {len(out) - 3} more" if out[3:] else ""
+        each = zip(found.arms, found.reaches, strict=True)
+        where = ", ".join(f"{one.name} at {reach.words}" for one, reach in each)
+        got = f"{len(out)} of {len(pieces)} blocks out of it: {names}"
+        raise InputError(f"reach of {where}", got, "bases from which one of the arms reaches each")
+    order = sorted(range(len(pieces)), key=lambda k: float(pieces[k].extent[0][2]))
+    steps = tuple(StepOf(k) for k in order)
+    obstacles = (*site.obstacles, *site.kept_out)
+    taken = [shapely.Point(*_base_of(one)[:2]).buffer(BASE_RADIUS) for one in found.arms]
+    taken += [outline(o) for o in obstacles]
+    members: list[Member] = []
+    used: set[str] = set()
+    for one in found.arms:
+        base = _base_of(one)
+        arm = place_arm(one.arm, one.tool or TOOL, base)
+        mine = with_rests(pieces, arm)
+        given = given_sources(site, mine, order)
+        if one.magazines is not None:
+            names = {f"{site.source}: magazines[{n}]" for n in one.magazines}
+            given = [source for source in given if source.name in names]
+            check_reached(arm, given, mine, max(p.top for p in mine))
+        else:
+            given = [source for source in given if _reaches(arm, source, mine)]
+        used |= {source.name for source in given}
+        job = Job(mine, steps, assembly, arm, (), obstacles, assembly.friction)
+        job = supplied(replace(job, arm=resting(arm, base[3], mine)), given, site, taken)
+        taken += [source.area.buffer(APART) for source in job.sources if source not in given]
+        members.append(Member(one.name, job))
+    for n, magazine in enumerate(site.magazines):
+        if f"{site.source}: magazines[{n}]" not in used:
+            at = [round(v, 4) for v in magazine.pose]
+            what = f"{site.source}: magazines[{n}]"
+            raise InputError(what, at, "a place that one of the arms takes from and reaches")
+    return members
+
+
+def _base_of(one: SiteArm) -> Base:
+    assert one.base is not None
+    return one.base
+
+
+def _reaches(arm: Arm, source: Source, pieces: Sequence[Piece]) -> bool:
+    """Whether an arm reaches all that waits at a place."""
+    cache, top = ApproachCache(arm), max(p.top for p in pieces)
+    some = {piece.rest.tobytes(): piece for piece in pieces if source.presents(piece)}
+    return all(
+        way_down(cache, piece, piece.waiting(source.pose), top) is None for piece in some.values()
+    )
+
+
+# ---------------------------------------------------------------- the plan
+
+
+def plan_by_team(
+    assembly: Assembly,
+    arms: Sequence[SiteArm],
+    site: Site,
+    *,
+    posts: bool = True,
+    options: dict[str, Any],
+    progress: Callable[[str], None] = lambda text: None,
+) -> Plan:
+    """The order in which two arms build, with who does each step; nothing is carried out.
+
+    Args:
+        assembly: given blocks that are dry; steps and props are not looked at.
+        posts: whether posts may be placed, by hand, where hands that hold are not enough.
+        options: ``friction``, ``gap`` and ``seconds`` as of :func:`~.planning.given.plan_assembly`.
+
+    Raises:
+        InputError: as :func:`set_up_team`, and for blocks whose joints hold.
+    """
+    if assembly.holds:
+        raise InputError("joints", "some that hold", "dry blocks, for several arms")
+    bare = _without_props(assembly)
+    members = set_up_team(bare, arms, site)
+    crews: list[ArmCrew] = []
+
+    def crew_of(blocks: Sequence[Any]) -> ArmCrew:
+        crews.append(ArmCrew(members, blocks))
+        return crews[-1]
+
+    help_ = Supports(posts=posts, holds=len(members) - 1, crew=crew_of)
+    plan = plan_assembly(bare, supports=help_, progress=progress, **options)
+    placed = [a._replace(base=_where(m)) for a, m in zip(arms, members, strict=True)]
+    reached = team_reach(placed, members[0].job.pieces)
+    told = tuple(
+        BuilderArm(a.name, a.arm, a.tool or TOOL, _base_of(a), reached.count - len(reach.out))
+        for a, reach in zip(reached.arms, reached.reaches, strict=True)
+    )
+    why = "; ".join(list(crews[-1].why.values())[-1:]) if plan.status == "incomplete" else ""
+    reason = f"{plan.reason} ({why})" if why else plan.reason
+    return replace(_by_hand(plan), arms=told, reason=reason)
+
+
+def _by_hand(plan: Plan) -> Plan:
+    """The plan, with steps of props that no arm does marked as done by hand."""
+    steps = tuple(
+        replace(step, by_hand=True) if step.prop and step.arm is None else step
+        for step in plan.steps
+    )
+    if plan.assembly is None:
+        return replace(plan, steps=steps)
+    made: list[AssemblyStep] = [
+        replace(one, by_hand=True) if step.by_hand else one
+        for one, step in zip(plan.assembly.steps, steps, strict=True)
+    ]
+    return replace(plan, steps=steps, assembly=replace(plan.assembly, steps=tuple(made)))
+
+
+def _where(member: Member) -> Base:
+    arm = member.job.arm
+    x, y, z = arm.base_position.tolist()
+    return x, y, z, arm.base_yaw - get_arm(arm.name).base_yaw

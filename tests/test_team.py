@@ -1,0 +1,279 @@
+"""Two arms: their cell as data, what a hand can give, and plans in which one of them holds."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+import learn2assemble as l2a
+from learn2assemble.assembly.blocks import Assembly, box_block
+from learn2assemble.assembly.hands import Hand
+from learn2assemble.cell.pieces import pieces_of
+from learn2assemble.cell.site import read_site
+from learn2assemble.cell.site_arms import SiteArm
+from learn2assemble.cell.team import set_up_team, team_reach
+from learn2assemble.cli import main
+from learn2assemble.constants import GRAVITY
+from learn2assemble.errors import InputError
+from learn2assemble.planning.given import plan_assembly
+from learn2assemble.robot.arm import Arm, arm_model, get_arm
+from learn2assemble.robot.grasps import Attitude
+from learn2assemble.robot.hand import SHARE, hand_limits
+from learn2assemble.robot.inverse import solve
+from learn2assemble.robot.moves import Move
+from learn2assemble.robot.pair import ArmPair
+
+ARMS = (SiteArm("one", "panda"), SiteArm("two", "ur5e"))
+
+
+def balanced() -> Assembly:
+    """A beam that falls off its pier until a stone stands on its end, which only then is let go."""
+    pier = box_block("pier", (-0.12, -0.05, 0.0), (0.0, 0.05, 0.06), density=2000.0)
+    beam = box_block("beam", (-0.12, -0.05, 0.06), (0.34, 0.05, 0.09), density=500.0)
+    stone = box_block("stone", (-0.12, -0.05, 0.09), (0.0, 0.05, 0.15), density=2000.0)
+    return Assembly((pier, beam, stone), friction=0.6)
+
+
+def held_at(name: str) -> tuple[Arm, Move, np.ndarray]:
+    """An arm with a cup that leans on something in front of it."""
+    arm = get_arm(name, "suction")
+    place = Attitude(yaw=0.4, tilt=0.5, depth=0.03)
+    move = Move(0, np.array([0.05, 0.1, 0.25]), place, place)
+    point = place.tool_point(move.target)
+    found = solve(arm, point, place.rotation(), arm.home, restarts=20)
+    assert found.ok
+    return arm, move, found.joints
+
+
+# ---------------------------------------------------------------- what a hand can give
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5e"])
+def test_a_hand_gives_nothing_that_cup_payload_or_joints_could_not(name: str) -> None:
+    arm, move, joints = held_at(name)
+    point, limits, bounds = hand_limits(arm, move, joints)
+    hand = Hand.within(point.tolist(), limits, bounds)
+    assert arm.suction is not None
+    cup, tool = arm.suction.cups[0], move.place.rotation()
+    rng, loads = np.random.default_rng(0), []
+    rows, most = np.array(hand.rows), np.array(hand.most)
+    model = arm_model(arm)
+    data = mujoco.MjData(model)
+    which = [model.joint(j).id for j in arm.joints]
+    data.qpos[model.jnt_qposadr[which]] = joints
+    mujoco.mj_forward(model, data)
+    linear, angular = np.empty((3, model.nv)), np.empty((3, model.nv))
+    at = np.array(hand.point)
+    body = int(model.site(arm.tool).bodyid[0])
+    mujoco.mj_jac(model, data, linear, angular, at, body)
+    limit = np.array([model.actuator(k).forcerange[1] for k in range(len(which))])
+    carried = (arm.payload - arm.suction.mass) * GRAVITY
+    for _ in range(300):
+        way = rng.normal(size=6) * [1, 1, 1, 0.02, 0.02, 0.02]
+        wrench = way / max(float((rows @ way / most).max()), 1e-12)
+        force, moment = wrench[:3], wrench[3:]
+        assert hand.gives(0.999 * force, 0.999 * moment)
+        assert not hand.gives(1.01 * force, 1.01 * moment)
+        assert np.linalg.norm(force) <= carried * (1 + 1e-9)
+        # The block loads the cup with the opposite, in its frame.
+        loads.append(max(cup.load(-tool.T @ force, -tool.T @ moment)))
+        torque = linear.T @ force + angular.T @ moment + data.qfrc_bias
+        assert (np.abs(torque[model.jnt_dofadr[which]]) <= limit + 1e-6).all()
+    assert max(loads) <= 1 + 1e-9
+    assert max(loads) > 0.9 * SHARE
+    # Straight along its axis nothing but the pull-off force and the payload counts.
+    pull = min(SHARE * cup.pull_off, 0.886 * carried)
+    up = -move.place.approach()
+    assert hand.gives(0.99 * pull * up, np.zeros(3))
+    assert not hand.gives(1.14 * pull * up, np.zeros(3))
+
+
+def test_two_arms_meet_where_their_hands_do() -> None:
+    one = get_arm("panda", "suction", (-0.5, 0.0, 0.0, 0.0))
+    other = get_arm("panda", "suction", (0.5, 0.0, 0.0, math.pi))
+    pair = ArmPair(one, other, 0.012)
+    down = Attitude().rotation()
+
+    def joints(arm: Arm, x: float) -> np.ndarray:
+        found = solve(arm, np.array([x, 0.0, 0.3]), down, arm.home, restarts=20)
+        assert found.ok
+        return found.joints
+
+    assert not pair.meet([joints(one, -0.2)], joints(other, 0.2))
+    assert pair.meet([joints(one, -0.02)], joints(other, 0.02))
+    # A block of 0.2 m between hands that are 0.3 m apart.
+    apart = joints(one, -0.15), joints(other, 0.15)
+    assert not pair.meet([apart[0]], apart[1])
+    pair.carry([(np.array([0.0, 0.0, 0.0]), np.eye(3), np.array([0.3, 0.3, 0.05]))])
+    assert pair.meet([apart[0]], apart[1])
+    pair.carry()
+    assert not pair.meet([apart[0]], apart[1])
+
+
+# ---------------------------------------------------------------- the cell as data
+
+
+def layout(tmp_path: Path, **content: Any) -> Path:
+    file = tmp_path / "layout.json"
+    head = {"format": "learn2assemble-layout", "version": 2}
+    file.write_text(json.dumps({**head, **content}), encoding="utf-8")
+    return file
+
+
+LEFT, RIGHT = ({"position": [0.0, y, 0.0], "yaw": yaw} for y, yaw in ((-0.5, 1.571), (0.5, -1.571)))
+TWO = [{"name": "a", "arm": "panda", "base": LEFT}, {"name": "b", "arm": "ur5e", "base": RIGHT}]
+
+
+def test_a_layout_has_arms(tmp_path: Path) -> None:
+    some = [{**TWO[0], "magazines": [1], "tool": "suction-side"}, TWO[1]]
+    kinds = [{"kind": "", "at": [0.2, y]} for y in (0.3, -0.3)]
+    site = read_site(layout(tmp_path, arms=some, magazines=kinds))
+    assert [one.name for one in site.arms] == ["a", "b"]
+    assert site.arms[0] == SiteArm("a", "panda", "suction-side", (0.0, -0.5, 0.0, 1.571), (1,))
+    assert site.base is None
+
+
+@pytest.mark.parametrize(
+    ("content", "arms", "words"),
+    [
+        ({"arms": TWO, "base": LEFT}, "ab", "base: got 'given', expected none beside arms"),
+        ({"arms": [*TWO, TWO[0]]}, "ab", "arms: got '3 arms', expected a list of 1 to 2 arms"),
+        ({"arms": [TWO[0], TWO[0]]}, "ab", "arms[1].name: got 'a', expected a name that no other"),
+        ({"arms": [{"arm": "pandas"}]}, "a", "arms[0].arm: got 'pandas'"),
+        ({"arms": [{**TWO[0], "magazines": [0]}]}, "a", "arms[0].magazines: got [0]"),
+        ({"arms": TWO}, "ac", "arm: got 'c', expected one of a, b"),
+        ({"arms": TWO}, "aa", "arm: got 'a, a', expected each arm of the layout once"),
+        ({"arms": TWO}, "aba", "arm: got '3 arms', expected 2 at most"),
+        (
+            {"arms": [TWO[0], {**TWO[1], "base": LEFT}]},
+            "ab",
+            "arms a and b: got 'bases 0.00 m apart', expected at least 0.32 m",
+        ),
+        (
+            {
+                "arms": [
+                    {**one, "base": {"position": [3.0 * k - 4, 0, 0]}} for k, one in enumerate(TWO)
+                ]
+            },
+            "ab",
+            "expected bases from which one of the arms reaches each",
+        ),
+        (
+            {"arms": TWO, "magazines": [{"kind": "", "at": [1.5, 0.0]}], "table": [4, 2]},
+            "ab",
+            "magazines[0]: got [1.5, 0.0, 0.0], expected a place that one of the arms",
+        ),
+        (
+            {"arms": TWO, "positions": [{"at": [0.3, 0.3]}]},
+            "ab",
+            "pallets or positions', expected magazines, for several arms",
+        ),
+    ],
+)
+def test_bad_cells_are_refused_in_one_line(
+    tmp_path: Path, content: dict[str, Any], arms: str, words: str
+) -> None:
+    file = layout(tmp_path, **content)
+    with pytest.raises(InputError) as error:
+        l2a.build(balanced(), arm=tuple(arms), layout=file, physics="kinematic")
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_what_is_not_there_yet_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "balanced.json"
+    l2a.write_assembly(balanced(), file)
+    asked = ["build", str(file), "--arm", "panda", "--arm", "ur5e", "--out", str(tmp_path / "o")]
+    assert main(asked) == 2
+    said = capsys.readouterr().err
+    assert "2 arms" in said
+    assert "plans for two and carries nothing out" in said
+    assert not (tmp_path / "o").exists()
+
+
+def test_arms_stand_on_opposite_sides_and_reach_everything() -> None:
+    pieces = pieces_of(balanced())
+    found = team_reach(ARMS, pieces)
+    assert (found.both, found.out) == (3, [])
+    (x, y, _, facing), (u, v, _, other) = (one.base or (9.0, 9, 9, 9) for one in found.arms)
+    assert (u, v) == pytest.approx((-x, -y))
+    assert math.cos(other - facing) == pytest.approx(-1.0)
+    # A wall of 1.8 m: each reaches its own half.
+    wall = Assembly(
+        tuple(
+            box_block(f"b{k}", (0.2 * k - 0.9, -0.03, 0), (0.2 * k - 0.71, 0.03, 0.06))
+            for k in range(9)
+        )
+    )
+    some = tuple(
+        one._replace(base=(x, 0.5, 0.0, -math.pi / 2))
+        for one, x in zip(ARMS, (-0.6, 0.6), strict=True)
+    )
+    wide = team_reach(some, pieces_of(wall))
+    assert wide.out == []
+    assert wide.both < 9
+
+
+# ---------------------------------------------------------------- plans
+
+
+@pytest.fixture(scope="module")
+def plan() -> l2a.Plan:
+    return l2a.build(balanced(), arm=("panda", "panda"), physics="kinematic", supports="none")
+
+
+def test_one_arm_holds_while_the_other_one_places(plan: l2a.Plan) -> None:
+    assert plan.complete, plan.reason
+    assert plan.assembly is not None
+    names = [plan.assembly.blocks[step.block].id for step in plan.steps]
+    told = [(step.action, name) for step, name in zip(plan.steps, names, strict=True)]
+    assert told[1:3] == [("place", "beam"), ("hold", "beam")]
+    assert ("release", "beam") in told[4:]
+    assert [arm.name for arm in plan.arms] == ["panda-1", "panda-2"]
+    holder: str | None = None
+    for step in plan.steps:
+        assert step.arm in ("panda-1", "panda-2")
+        assert step.action != "place" or step.arm != holder
+        if step.action == "hold":
+            assert plan.steps[step.step - 2].arm == step.arm
+            holder = step.arm
+        if step.action == "release":
+            assert step.arm == holder
+            holder = None
+    assert holder is None
+
+
+def test_the_plan_proves_itself_again_with_what_its_hands_can_give(
+    plan: l2a.Plan, tmp_path: Path
+) -> None:
+    plan.save(tmp_path, page=False)
+    again = l2a.load_plan(tmp_path)
+    assert again.arms == plan.arms
+    assert [step.arm for step in again.steps] == [step.arm for step in plan.steps]
+    assert again.assembly is not None
+    proven = plan_assembly(again.assembly, supports="none")
+    assert proven.complete
+    assert [s.margin_g for s in proven.steps] == pytest.approx([s.margin_g for s in plan.steps])
+    document = json.loads((tmp_path / "assembly.json").read_text(encoding="utf-8"))
+    hold = next(step for step in document["steps"] if "hold" in step)
+    # With a tenth of what the hand gives the beam falls.
+    hold["hand"]["most"] = [0.1 * value for value in hold["hand"]["most"]]
+    (tmp_path / "weak.json").write_text(json.dumps(document), encoding="utf-8")
+    weak = plan_assembly(l2a.read_assembly(tmp_path / "weak.json"), supports="none")
+    assert not weak.complete
+    assert len(weak.steps) == 1
+
+
+def test_each_arm_takes_from_places_of_its_own() -> None:
+    members = set_up_team(balanced(), ARMS, l2a.Site())
+    places = [tuple(s.pose[:2]) for member in members for s in member.job.sources]
+    assert len(set(places)) == len(places) == 4
+    for member in members:
+        away = [math.dist(s.pose[:2], member.job.base) for s in member.job.sources]
+        assert max(away) < 0.85
