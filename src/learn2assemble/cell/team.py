@@ -266,7 +266,9 @@ def plan_by_team(
         BuilderArm(a.name, a.arm, a.tool or TOOL, _base_of(a), reached.count - len(reach.out))
         for a, reach in zip(reached.arms, reached.reaches, strict=True)
     )
-    why = "; ".join(list(crews[-1].why.values())[-1:]) if plan.status == "incomplete" else ""
+    # Posts that no arm brings are set by hand, and no reason.
+    told_last = [w for k, w in crews[-1].why.items() if k < len(bare.blocks)][-1:]
+    why = "; ".join(told_last) if plan.status == "incomplete" else ""
     reason = f"{plan.reason} ({why})" if why else plan.reason
     return replace(_by_hand(plan), arms=told, reason=reason)
 
