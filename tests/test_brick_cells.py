@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,11 @@ import pytest
 
 import learn2assemble as l2a
 from learn2assemble.assembly.kit import load_kit
+from learn2assemble.cli import main
 from learn2assemble.errors import InputError
+from learn2assemble.export.formats import export_assembly
 from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.tiling.bricks import slabs_of
 from test_brick_order import replay
 
 
@@ -116,3 +120,104 @@ def test_what_bricks_do_not_take_is_refused() -> None:
     large = replace(lego, kinds=tuple(kind for kind in lego.kinds if kind.name != "1x1"))
     with pytest.raises(InputError, match="the brick 1x1"):
         l2a.build(wanted, kit=large)
+
+
+# ---------------------------------------------------------------- plates
+
+
+def slope(wide: int = 8, deep: int = 2) -> np.ndarray:
+    """Cells as high as a plate; the top falls by a plate a stud."""
+    wanted = np.zeros((wide, deep, wide + 4), bool)
+    for x in range(wide):
+        wanted[x, :, : wide + 4 - x] = True
+    return wanted
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_every_cell_is_in_one_slab_and_bricks_go_before_plates(seed: int) -> None:
+    wanted = np.random.default_rng(seed).random((5, 4, 14)) < 0.8
+    count, plates = np.zeros(wanted.shape, int), np.zeros(wanted.shape, bool)
+    for low, high, cells in slabs_of(wanted, 3):
+        assert high - low in (1, 3)
+        count[:, :, low:high][cells] += 1
+        plates[:, :, low] |= cells & (high - low == 1)
+    assert (count == wanted).all()
+    assert plates.any()
+    assert not (plates[:, :, :-2] & plates[:, :, 1:-1] & plates[:, :, 2:]).any()
+
+
+def test_layers_of_bricks_begin_where_the_fewest_plates_are_left() -> None:
+    for first in range(3):
+        levels = [low for low, high, _ in slabs_of(np.ones((2, 2, first + 9), bool), 3)]
+        assert len(levels) == 3 + first
+    on_a_plate = np.zeros((6, 6, 10), bool)
+    on_a_plate[:, :, 0] = on_a_plate[1:5, 1:5] = True
+    heights = [high - low for low, high, _ in slabs_of(on_a_plate, 3)]
+    assert heights == [1, 3, 3, 3]
+
+
+@pytest.mark.parametrize("make", [corbel, tree, letter])
+def test_without_need_of_plates_it_is_as_without_them(make) -> None:
+    with_, without = (
+        l2a.build(cells, kit="lego", plates=plates)
+        for cells, plates in ((make().repeat(3, 2), True), (make(), False))
+    )
+    assert with_.assembly is not None
+    assert without.assembly is not None
+    for one, other in zip(with_.assembly.blocks, without.assembly.blocks, strict=True):
+        assert (one.id, one.kind) == (other.id, other.kind)
+        assert np.array_equal(one.vertices, other.vertices)
+    assert [(s.action, s.block) for s in with_.steps] == [
+        (s.action, s.block) for s in without.steps
+    ]
+
+
+def test_a_slope_gets_plates(tmp_path: Path) -> None:
+    wanted = slope()
+    plan = l2a.build(wanted, kit="lego", plates=True)
+    assert plan.status == "complete"
+    assert plan.design.cell == pytest.approx((0.008, 0.008, 0.0032))
+    assert (filled(plan, wanted.shape) == wanted).all()
+    replay(plan)
+    assert plan.assembly is not None
+    kinds = [block.kind for block in plan.assembly.blocks]
+    plates = [kind for kind in kinds if kind.startswith("plate ")]
+    assert 0 < len(plates) < len(kinds)
+    again = l2a.read_assembly(export_assembly(plan.assembly, "ldraw", tmp_path / "slope.ldr"))
+    assert sorted(block.kind for block in again.blocks) == sorted(kinds)
+    assert again.steps, "the order is in the file"
+
+
+def test_cells_as_high_as_a_plate_ask_for_plates(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wanted = slope(5)
+    plan = l2a.build(wanted, kit="lego", plates=True)
+    by_cell = l2a.build(wanted, kit="lego", cell=(0.008, 0.008, 0.0032))
+    assert by_cell.assembly is not None
+    assert plan.assembly is not None
+    assert [b.kind for b in by_cell.assembly.blocks] == [b.kind for b in plan.assembly.blocks]
+    # 16 mm wide and 12.8 mm high: a brick and a plate.
+    drawing = tmp_path / "low.svg"
+    drawing.write_text(
+        '<svg xmlns="http://www.w3.org/2000/svg" width="32mm" height="12.8mm" '
+        'viewBox="0 0 32 12.8"><path d="M0 0H32V12.8H0Z"/></svg>'
+    )
+    asked = ["build", str(drawing), "--plates", "--out"]
+    assert main([*asked, str(tmp_path / "out"), "--kit", "lego"]) == 0
+    told = capsys.readouterr().out
+    assert "plate 1x4" in told
+    assert "100%" in told
+    assert main([*asked, str(tmp_path / "dry"), "--kit", "bricks"]) == 2
+    assert "a kit of bricks that clutch" in capsys.readouterr().err
+    lego = load_kit("lego")
+    few = replace(lego, kinds=tuple(kind for kind in lego.kinds if kind.name != "plate 1x1"))
+    with pytest.raises(InputError, match="the plate 1x1"):
+        l2a.build(wanted, kit=few, plates=True)
+
+
+def test_walls_of_a_hollow_body_are_as_thick_up_as_along() -> None:
+    plan = l2a.build(np.ones((7, 7, 18), bool), kit="lego", shell=2, plates=True)
+    assert (filled(plan, (7, 7, 18))[2:5, 2:5, 6:12] == 0).all()
+    assert plan.cells is not None
+    assert plan.cells.wanted == 7 * 7 * 18 - 3 * 3 * 6

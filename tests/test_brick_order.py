@@ -24,7 +24,9 @@ from learn2assemble.export.pictures import booklet
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.statics.holding import Push, balance_of
+from learn2assemble.statics.laws import ByStrength
 from learn2assemble.statics.rigid_blocks import check
+from learn2assemble.statics.states import State
 from learn2assemble.viewer.scene import block_parts, scene_data
 
 SAMPLES = [n for n, d in brick_data.designs().items() if "StableLego" not in d["source"]]
@@ -226,6 +228,14 @@ def test_cards_say_whence_a_brick_comes(tmp_path: Path) -> None:
     assert read_assembly(tmp_path / "hook.json").steps == plan.assembly.steps
     with pytest.raises(InputError, match="way"):
         AssemblyStep(place="b1", way="under")  # pyright: ignore[reportArgumentType]
+
+
+def test_where_none_of_many_bricks_is_left_nothing_falls() -> None:
+    """More than a hundred, so that programs are of those that are there."""
+    row = bricks(*(((1, 1), (2 * k, 0, 0)) for k in range(101)))
+    law, none = ByStrength(row, balance_of(row), sides=False), np.zeros(101, bool)
+    for present in (~none, none, np.arange(101) < 3):
+        assert law.stands(State(present, none))
 
 
 def test_bricks_are_drawn_with_knobs_and_several_are_one_step() -> None:

@@ -10,6 +10,7 @@ turned by quarters about the vertical, or lie on any of its sides, as the kit al
     density = 800.0              # [kg/m3]
     friction = 0.5               # Coulomb coefficient between blocks
     joint_gap = 0.0001           # width of a vertical joint [m]
+    plates = false               # of bricks that clutch: whether plates fill designs, too
 
     [joint]                      # optional: how joints hold, see learn2assemble.assembly.joints
     law = "clutch"               # or "dry" (default), "mortar"
@@ -88,13 +89,16 @@ class Kit:
     """Width of a vertical joint [m]: the sides of blocks lie inside their cells by half of it."""
     joint: Joint = DRY
     """How joints hold."""
+    plates: bool = False
+    """Of bricks that clutch: whether designs are cut into layers as high as a plate, which bricks
+    and plates fill, or as high as a brick."""
 
     @property
     def cell(self) -> tuple[float, float, float]:
         """Edges of a cell of a design for it [m]: of its lattice; of bricks that clutch, which come
-        in layers of plates, one stud wide and a brick high."""
+        in layers of plates, one stud wide and a brick high unless ``plates`` fill it, too."""
         x, y, z = self.pitch
-        if self.joint.law != "clutch":
+        if self.joint.law != "clutch" or self.plates:
             return self.pitch
         return x, y, z * max(cell[2] + 1 for kind in self.kinds for cell in kind.cells)
 
@@ -164,6 +168,7 @@ class _KitFile:
     density: Density = Kit.density
     friction: Annotated[float, Range(0.0, 5.0, "(Coulomb coefficient)")] = Kit.friction
     joint_gap: Annotated[float, Range(0.0, 10.0, "m")] = Kit.joint_gap
+    plates: bool = Kit.plates
 
 
 @dataclass(frozen=True)
@@ -281,7 +286,10 @@ def parse_kit(content: str, source: str = "kit") -> Kit:
         raise InputError(f"{source}: kinds", repeated[0], "every name once")
     _check_name(file.name, f"{source}: name")
     joint = _joint(head.get("joint"), file, kinds, source)
-    return Kit(file.name, kinds, file.pitch, file.density, file.friction, file.joint_gap, joint)
+    if file.plates and joint.law != "clutch":
+        raise InputError(f"{source}: plates", True, f"bricks that clutch, not {joint.law} joints")
+    material = file.pitch, file.density, file.friction, file.joint_gap
+    return Kit(file.name, kinds, *material, joint, file.plates)
 
 
 def _joint(given: Any, file: _KitFile, kinds: tuple[Kind, ...], source: str) -> Joint:

@@ -120,6 +120,11 @@ STATE = "build.jsonl"
             help="of a design of bricks that clutch: hollow, with walls N cells thick",
         ),
         arg(
+            "--plates",
+            action="store_true",
+            help="of a kit of bricks that clutch: cells as high as a plate, filled with both",
+        ),
+        arg(
             "--hands",
             action="store_true",
             help="of bricks that clutch: from below, too, and several as one, built beside",
@@ -241,9 +246,14 @@ def _resume_finished(options: argparse.Namespace, output: Output) -> int:
 
 
 def _preview(options: argparse.Namespace, output: Output) -> int:
+    from learn2assemble.assembly.kit import load_kit
+    from learn2assemble.jobs.kinds import with_plates
     from learn2assemble.viewer.preview import preview
 
-    found = preview(options.design, options.preview, kit=options.kit, **reading_of(options))
+    kit = options.kit
+    if options.plates:
+        kit = with_plates(None if kit is None else load_kit(kit))
+    found = preview(options.design, options.preview, kit=kit, **reading_of(options))
     shape, cells = list(found.wanted.shape), int(found.wanted.sum())
     output.say(f"{found.name}: {' × '.join(map(str, shape))} cells, {cells} to fill")
     if found.note:

@@ -43,6 +43,7 @@ from learn2assemble.jobs.kinds import (
     has_studs,
     kit_of,
     team_plan,
+    with_plates,
 )
 from learn2assemble.jobs.problems import NO_ARM, PROBLEMS
 from learn2assemble.planning.plan import Plan
@@ -72,6 +73,7 @@ def build(
     holds: int = 0,
     hands: bool = False,
     shell: int | None = None,
+    plates: bool = False,
     arm: str | Sequence[str] | None = None,
     agent: str | Path | object | None = None,
     layout: str | Path | Site | None = None,
@@ -110,6 +112,8 @@ def build(
             beside; a hand then holds one while the next one comes.
         shell: of a design of bricks that clutch, how many cells its walls are thick; by default it
             is not hollow.
+        plates: of a design and a kit of bricks that clutch, whether cells are as high as a plate,
+            and plates fill it where bricks do not; else cells are as high as a brick.
         arm: name of the arm that builds; by default none, for a task its own. Two names, also the
             same twice: both build dry blocks, one holds while the other one places; they are
             planned for with ``physics="kinematic"``, and nothing is carried out.
@@ -166,6 +170,7 @@ def build(
             "holds": holds,
             "hands": hands,
             "shell": shell is not None,
+            "plates": plates,
             "old": old,
             "noise": any(noise),
             "physics": physics != PHYSICS[0],
@@ -209,9 +214,11 @@ def build(
     given = {"friction": friction, "gap": gap, "progress": progress, "seconds": limit}
     if shell is not None and not is_whole(shell, 1, 64):
         raise InputError("shell", shell, "a whole number of cells from 1 to 64")
-    kit = _kit(kit)
+    kit = with_plates(_kit(kit)) if plates else _kit(kit)
     help_ = Help(supports, holds, hands, shell)
     found = _read(opened, kit, supports != "none", reading)
+    if plates and not isinstance(found, CellDesign):
+        raise InputError("plates", True, "a design of cells: these blocks are given, or goals")
     check_asked(found, kit, help_, choice.name)
     if how is not None and how.several:
         return team_plan(found, kit, how, help_, choice, given)

@@ -182,6 +182,8 @@ def bricks_plan(
     from learn2assemble.planning.sequence import Supports
     from learn2assemble.planning.tiling.bricks import plan_brick_cells
 
+    if np.allclose(design.cell, kit.pitch, rtol=1e-6):
+        kit = with_plates(kit)
     _check_bricks(design, kit, help_, given, planner.name)
     _, holds, hands, shell = help_
     bricks = Supports(holds=max(holds, 1) if hands else holds, hands=hands)
@@ -291,6 +293,18 @@ def team_plan(
 def kit_of(design: CellDesign, kit: Kit | None) -> Kit:
     """The kit that a design of cells is built with."""
     return kit or load_kit(design.kit or DEFAULT_KIT)
+
+
+def with_plates(kit: Kit | None) -> Kit:
+    """The kit, with plates in its designs.
+
+    Raises:
+        InputError: for one whose blocks do not clutch.
+    """
+    if kit is None or kit.joint.law != "clutch":
+        got = "no kit" if kit is None else f"kit {kit.name}"
+        raise InputError("plates", got, "a kit of bricks that clutch, such as lego (`kit=`)")
+    return replace(kit, plates=True)
 
 
 def _check_bricks(

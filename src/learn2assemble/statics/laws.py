@@ -280,6 +280,8 @@ class ByStrength:
         return self._narrow, scope
 
     def _asked(self, state: State, push: Push | None) -> bool:
+        if not state.present.any():
+            return True
         balance, scope = self._program(state)
         if push is not None:
             push = push._replace(block=int(np.searchsorted(scope, push.block)))
