@@ -15,17 +15,20 @@ from learn2assemble.robot.approach import (
     ApproachPath,
     approach_path,
     approach_paths,
+    on_path,
     tool_path,
 )
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.grasps import Attitude, get_grasps
 from learn2assemble.robot.inverse import solve
+from learn2assemble.robot.joint_path import joint_path
 from learn2assemble.robot.kinematic import Collision
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import OPENING, Move, Scene
 from learn2assemble.simulation.model import PRESS, Failure, compile_world, take_order
-from learn2assemble.simulation.prepare import prepare
+from learn2assemble.simulation.prepare import Course, prepare
 from learn2assemble.simulation.ways import KEEP, STRIDE, WorldChecker, straight_or_tree
+from robot_scenes import hands
 
 PANDA = get_arm("panda")
 AA = get_grasps("along-y")[0]
@@ -237,6 +240,38 @@ def test_a_build_takes_low_ways_and_waits_above_the_next_object() -> None:
     assert all(checker.blocked(a, b) is None for a, b in pairwise(low.across))
     checker.empty(order.opening)
     assert all(checker.blocked(a, b) is None for a, b in pairwise(low.there))
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5e"])
+def test_a_cup_goes_down_from_where_it_waits_above_what_it_takes(name: str) -> None:
+    arm = get_arm(name, "suction")
+    scene = tower(2)._replace(half=np.full((3, 3), 0.025))
+    hand = hands(arm, np.full(3, 0.025))[0]
+    order = take_order(scene, Move(2, np.array([0.0, 0.25, 0.025]), hand, hand))
+    world = compile_world((arm,), order.objects.shape, 1.0)
+    following = np.array([0.05, 0.0, 0.0])
+
+    def course(start: np.ndarray) -> Course:
+        return prepare(arm, world, order, start, True, following)
+
+    pick, chain = course(arm.home).plan.pick, get_chain(arm)
+    contact, turn = forward(chain, pick.joints[int(np.searchsorted(pick.rise, -1e-9))])
+    for aside, up, goes_down in ((1e-3, 0.055, True), (4e-3, 0.055, False), (0.0, 0.01, False)):
+        start = solve(
+            arm, contact + np.array([aside, 0.0, up]), turn, pick.joints[-1], restarts=0
+        ).joints
+        found = course(start)
+        assert (len(found.there) == 1) == goes_down
+        if not goes_down:
+            continue
+        count, rise = on_path(arm, pick, start) or (0, 0.0)
+        assert rise == pytest.approx(up, abs=1e-6)
+        assert pick.rise[count - 1] < up - SPACING / 2 + 1e-9
+        way = joint_path(np.vstack([start, pick.joints[:count][::-1]]), arm.bounds)
+        tool = [forward(chain, q)[0] for q in way.at(np.linspace(0, way.length, 200))[0]]
+        off = np.array(tool) - contact
+        assert np.abs(off[:, :2]).max() <= aside + 1e-5
+        assert (np.diff(off[:, 2]) < 0).all()
 
 
 def test_where_no_way_is_free_the_target_is_unreachable(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -251,6 +251,8 @@ def test_what_was_pushed_goes_back_and_what_is_shifted_with_its_row_stays() -> N
     world.pose[right, 0] = world.target(right)[0] + 2e-3
     world.pose[left] = world.target(left)
     assert again() == right
+    world.spread[right] = 5e-4, 0.0
+    assert again() is None, "nor is it certain then"
 
 
 @settings(max_examples=8, deadline=None)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learn2assemble.cell.arrange import Arranged, Structure
-from learn2assemble.cell.fitting import Fitting
+from learn2assemble.cell.fitting import OPEN, Fitting
 from learn2assemble.cell.pieces import Piece
 from learn2assemble.cell.workcell import LEANS, STANDS, STRAYED, TRIES, Job, StepOf
 from learn2assemble.cell.world import (
@@ -289,8 +289,9 @@ class Choice:
         target, found = self.world.target(k), self.world.pose[k]
         turned = self.world.pieces[k].turned_by(found[3:], target[3:])
         off = float(np.linalg.norm(found[:3] - target[:3]))
-        # What is shifted with its row stays; what was pushed there goes back.
-        pushed = off > STRAYED and float(np.linalg.norm((found - self.fitted(k))[:3])) > STRAYED
+        # What is shifted with its row stays; what was pushed there goes back, if that is certain.
+        least = STRAYED + OPEN * float(self.world.spread[k, 0])
+        pushed = off > least and float(np.linalg.norm((found - self.fitted(k))[:3])) > least
         missing = self._bed(k) - self.standing()
         apart = bool(missing) or self.structure.loose(k, self.world)
         return off > STANDS or pushed or turned > LEANS or apart

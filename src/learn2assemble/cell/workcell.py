@@ -32,7 +32,8 @@ Progress = Callable[[str], None]
 STANDS = 0.003
 """A block farther from its place than this is placed again [m] ..."""
 STRAYED = 0.0015
-"""... and so is one that is farther than this from it and from where it would be put now [m] ..."""
+"""... and so is one that is for certain farther than this from it and from where it would be put
+now [m] ..."""
 LEANS = math.radians(2.0)
 """... and so is one that leans or is turned by more [rad]."""
 TRIES = 3

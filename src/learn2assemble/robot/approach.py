@@ -20,6 +20,7 @@ from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.grasps import WAY, Attitude
 from learn2assemble.robot.inverse import RESTARTS, ik_seeds, seed_distances, solve
 from learn2assemble.robot.joint_path import joint_path
+from learn2assemble.robot.kinematics import forward, forward_many, get_chain
 from learn2assemble.robot.moves import LEVEL
 
 RISE = (0.0, 0.008, 0.03, WAY)
@@ -147,6 +148,42 @@ class ApproachPath(NamedTuple):
         """The part of it up to about this height [m], with the knot that is nearest to it."""
         count = int(np.searchsorted(self.rise, rise + SPACING / 2))
         return ApproachPath(self.joints[:count], self.rise[:count])
+
+
+BESIDE, TURNED, APART = 0.0025, math.radians(2.0), 0.05
+"""The hand is on an approach path if it is no farther beside its line [m] and turned by no more
+[rad], and no joint is farther from where the path would have it there [rad]. The cubic that begins
+leaves the straight lines between its knots by less than a quarter of that."""
+
+
+def on_path(arm: Arm, path: ApproachPath, joints: np.ndarray) -> tuple[int, float] | None:
+    """Where the hand is on a straight approach path.
+
+    Args:
+        arm: the robot.
+        path: whose line goes on above its last pose.
+        joints: float64[n] of the arm [rad].
+
+    Returns:
+        how many poses are clearly below the hand, and its way from the contact [m]; None where it
+        is not on the path, or bent otherwise, or the path is.
+    """
+    chain = get_chain(arm)
+    where, turns = forward_many(chain, np.ascontiguousarray(path.joints))
+    line = where[-1] - where[0]
+    along = line / max(float(np.linalg.norm(line)), 1e-9)
+    place, turn = forward(chain, joints)
+    ways = np.vstack([where, place]) - where[0]
+    beside = np.linalg.norm(ways - np.outer(ways @ along, along), axis=1)
+    apart = math.acos(min(max((float(np.trace(turns[0].T @ turn)) - 1) / 2, -1.0), 1.0))
+    rise = float(path.rise[0] + ways[-1] @ along)
+    count = int(np.searchsorted(path.rise, rise - SPACING / 2))
+    if count < 2 or beside[:-1].max() > GRAIN or beside[-1] > BESIDE or apart > TURNED:
+        return None
+    one, two = path.joints[count - 2 : count]
+    share = (rise - path.rise[count - 1]) / (path.rise[count - 1] - path.rise[count - 2])
+    there = two + share * (two - one)
+    return (count, rise) if np.abs(joints - there).max() <= APART else None
 
 
 SLACK = (1e-3, 0.01, 0.03)

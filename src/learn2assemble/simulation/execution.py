@@ -25,7 +25,7 @@ from learn2assemble.motion.plant import (
 )
 from learn2assemble.motion.program import LOAD_TIME
 from learn2assemble.motion.record import RATE
-from learn2assemble.robot.approach import ApproachPath, approach_path, tool_path
+from learn2assemble.robot.approach import ApproachPath, approach_path, on_path, tool_path
 from learn2assemble.robot.arm import Arm, Limits
 from learn2assemble.robot.grasps import facing
 from learn2assemble.robot.joint_path import JointPath, joint_path
@@ -80,6 +80,8 @@ the joints leave."""
 NEAR_BY, LEDGE = 0.005, 0.001
 """What stands nearer than this beside the way of an object [m] is slid along, where it is higher
 than the bottom of that by more than this [m]."""
+SAME = 1e-6
+"""Joints that differ by less are where they should be [rad]."""
 LANDED = 1.0
 """What rests presses so hard on others [N]: as much as a block weighs."""
 PRESSED = 20.0
@@ -293,13 +295,19 @@ class Execution:
             commands = ()
 
     def grasp(self, approach: ApproachPath) -> None:
-        """Down, take hold, up."""
+        """Down from where the hand is on the path, take hold, up to its end."""
         self.inside, limits = approach, self.rig.limits
         above = approach.rise > -1e-9  # The contact itself, whatever rounding made of it.
         joints, rise = approach.joints[above], approach.rise[above]
-        path = joint_path(joints[::-1], limits)
+        down, below = joints[::-1], rise[::-1]
+        if np.abs(self.joints - joints[-1]).max() > SAME:
+            on = on_path(self.rig.arm, ApproachPath(joints, rise), self.joints)
+            if on is not None:
+                down = np.vstack([self.joints, joints[: on[0]][::-1]])
+                below = np.array([on[1], *rise[: on[0]][::-1]])
+        path = joint_path(down, limits)
         bounds = self.bounds(path, limits)
-        segments = approach_speed_limits(path, rise[::-1], ((CAREFUL, CAREFUL_SPEED),), bounds)
+        segments = approach_speed_limits(path, below, ((CAREFUL, CAREFUL_SPEED),), bounds)
         self.follow(path, bounds, "pick", (EMPTY,), segments)
         self.close()
         self.holding = True

@@ -11,6 +11,7 @@ from learn2assemble.robot.approach import (
     ApproachPath,
     approach_path,
     approach_paths,
+    on_path,
     tool_path,
     travel_time,
 )
@@ -53,7 +54,8 @@ class Course(NamedTuple):
 
     plan: Approaches
     there: np.ndarray
-    """From where the arm is to above the object."""
+    """From where the arm is to above the object; only where it is, if the hand goes down from
+    there."""
     across: np.ndarray
     """From there to above the target."""
     home: np.ndarray
@@ -94,7 +96,9 @@ def prepare(
         Failure: where there is none.
     """
     checker = WorldChecker(arm, world, order.poses, order.names)
-    plan = _plan(arm, checker, order)
+    checker.empty(order.opening)
+    start = rest_pose(arm, checker) if joints is None else joints
+    plan = _plan(checker, order, start, returns=following is not None)
     placed = order.in_world(plan.move.grasp, plan.move.place)
     if precheck:
         checker.put(order.target, *placed, order.opening)
@@ -104,7 +108,6 @@ def prepare(
             raise Failure(Outcome.PLACE_COLLISION, "place", f"{name} would overlap {hit}")
     plan, across = _across(arm, checker, order, plan)
     checker.empty(order.opening)
-    start = rest_pose(arm, checker) if joints is None else joints
     waits = None
     if following is not None:
         if len(across) == 2:
@@ -112,7 +115,7 @@ def prepare(
             across = np.array([plan.pick.joints[-1], plan.place.joints[-1]])
         waits = _above(checker, plan.pick, following)
         checker.empty(order.opening)
-    there = free_way(checker, start, plan.pick.joints[-1], "approach")
+    there = _there(checker, start, plan.pick)
     checker.put(order.target, *placed, order.opening)
     if waits is None:
         waits = rest_pose(arm, checker)
@@ -120,6 +123,18 @@ def prepare(
         plan = plan._replace(leave=_lowest(plan.leave, lambda q: _free(checker, q, waits)))
     home = free_way(checker, plan.leave.joints[-1], waits, "home")
     return Course(plan, there, across, home)
+
+
+def _there(checker: WorldChecker, start: np.ndarray, pick: ApproachPath) -> np.ndarray:
+    """See :attr:`Course.there`; a cup has nothing to open before it goes down.
+
+    Raises:
+        Failure: where there is no way.
+    """
+    on = None if checker.arm.suction is None else on_path(checker.arm, pick, start)
+    if on is not None and on[1] >= STRAIGHT and _free(checker, start, pick.joints[on[0] - 1]):
+        return start[None]
+    return free_way(checker, start, pick.joints[-1], "approach")
 
 
 def _free(checker: WorldChecker, start: np.ndarray, end: np.ndarray) -> bool:
@@ -181,10 +196,16 @@ def rest_pose(arm: Arm, checker: WorldChecker) -> np.ndarray:
     return arm.home
 
 
-def _plan(arm: Arm, checker: WorldChecker, order: Order) -> Approaches:
-    """As ordered or with the hand turned: whatever meets less, then what turns less on a way from
-    home and back: from where the arm waits above its supply the wrist comes nearer to others."""
-    height, given = order.height, order.move
+def _plan(checker: WorldChecker, order: Order, start: np.ndarray, returns: bool) -> Approaches:
+    """As ordered or with the hand turned: whatever meets less, then what turns less on the way.
+
+    Args:
+        checker: of the arm.
+        order: what is asked.
+        start: float64[n] where the arm is [rad].
+        returns: whether it waits where it takes the object, not at home, when that is in its place.
+    """
+    arm, height, given = checker.arm, order.height, order.move
     found: list[tuple[float, float, Approaches]] = []
     sized = order.scene.half is not None
     reasons: list[Failure] = []
@@ -208,7 +229,8 @@ def _plan(arm: Arm, checker: WorldChecker, order: Order) -> Approaches:
             reasons.append(Failure(Outcome.UNREACHABLE, "retreat", leave))
             continue
         plan = Approaches(pick[0], place[0], leave, move, height)
-        ways = [arm.home, *plan.pick.joints[::-1], *plan.place.joints, arm.home]
+        end = plan.pick.joints[-1] if returns else arm.home
+        ways = [start, *plan.pick.joints[::-1], *plan.place.joints, end]
         found.append((pick[1] + place[1], travel_time(arm, ways), plan))
     if not found:
         raise reasons[0]
