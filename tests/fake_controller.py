@@ -1,5 +1,6 @@
-"""What fake controllers have in common: they run in a process of their own, keep the time of a
-robot, and are told over a socket of their own what shall go wrong.
+"""What fake controllers have in common: the arm and the blocks behind them are the dynamic cell of
+the simulation, told cycle by cycle. They run in a process of their own, keep the time of a robot,
+and are told over a socket of their own what shall go wrong.
 
 ``python fake_controller.py KIND HOST RATE`` begins one and prints where it listens; tests use
 :class:`FakeProcess`.
@@ -7,7 +8,10 @@ robot, and are told over a socket of their own what shall go wrong.
 
 from __future__ import annotations
 
+import base64
 import json
+import math
+import pickle
 import socket
 import subprocess
 import sys
@@ -18,11 +22,30 @@ from typing import Any
 
 import numpy as np
 
-from fake_world import KinematicWorld
+from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.motion.plant import (
+    BlockReading,
+    Motion,
+    Request,
+    Stop,
+    ToolCommand,
+    ToolReading,
+)
+from learn2assemble.motion.program import driver_of
+from learn2assemble.motion.setup import Setup
 from learn2assemble.robot.arm import get_arm
+from learn2assemble.simulation.plant import DynamicPlant
 
 CYCLE = 0.008
 """Of the control loop [s of the robot]."""
+AT_ONCE = 10
+"""Cycles at most between two moments at which others are heard."""
+STANDS = 1e-3
+"""An arm whose joints are slower stands [rad/s]."""
+CALM = 0.1
+"""A cell that has been at rest for so long is not simulated on until something happens [s]."""
+CLOSE = 0.004
+"""Two blocks cannot be presented so near to one another [m]."""
 
 
 class FakeController:
@@ -30,31 +53,46 @@ class FakeController:
 
     Args:
         host: address of this machine.
-        rate: seconds of the robot in one second.
-        arm: name of the arm.
+        rate: seconds of the robot in one second, at most: a machine that cannot keep up makes the
+            robot slow.
     """
 
-    def __init__(self, host: str, rate: float, arm: str = "ur5e") -> None:
-        self.host, self.rate, self.arm = host, rate, get_arm(arm, "suction")
-        self.world = KinematicWorld(self.arm)
-        self.joints, self.velocity = self.arm.home.copy(), np.zeros(len(self.arm.home))
-        self.vacuum = False
-        self.time, self.jump = 0.0, 0.0
-        self.protective, self.refused, self.slow = False, 0, 1.0
+    def __init__(self, host: str, rate: float) -> None:
+        self.host, self.rate = host, rate
         self.cut_until = 0.0
         self.ports: dict[str, int] = {}
         self.lock = threading.RLock()
-        self.most_share: list[float] = []
-        """Of the speeds of the arm that were used."""
-        self._carried = 0.0
-        """How long something has hung on the cup [s]."""
+        self.worked = 0.0
+        """Seconds of the processor that the cell took."""
+        self.begin(Setup(get_arm("ur5e", "suction"), {}, {}))
+
+    def begin(self, setup: Setup) -> None:
+        """A cell as its setup has it; the arm stands, and nothing goes wrong."""
+        self.protective, self.refused, self.slow, self.jump = False, 0, 1.0, 0.0
         self._armed: list[tuple[float, str, dict[str, Any]]] = []
         self._plan: list[tuple[float, str, dict[str, Any]]] = []
+        self.setup, self.arm = setup, setup.arm
+        self.plant = DynamicPlant(setup)
+        self.told = self.plant.where()
+        """float64[n]: where the drives were told to be last [rad], ..."""
+        self.speed = np.zeros_like(self.told)
+        """... and how fast [rad/s]."""
+        self.tool, self.vacuum = ToolReading(vacuum=False), False
+        self.skipped = self.carried = 0.0
+        """How long nothing moved [s], and something has hung on the cup."""
+        self.odd: list[str] = []
+        """What cannot be in a real cell."""
+        self.most_share = 0.0
+        """Of the speeds of the arm that was used."""
+        self._calm = 0.0
+        """How long everything has been at rest [s]."""
+        self._wanted: tuple[np.ndarray, np.ndarray] | None = None
+        self._commands: list[ToolCommand] = []
 
     # ------------------------------------------------------------ for each kind
 
     def cycle(self) -> None:
-        """What happens in a cycle of the control loop: the arm may move."""
+        """What happens in a cycle of the control loop: the arm may be told where to be."""
         raise NotImplementedError
 
     def publish(self) -> None:
@@ -69,14 +107,37 @@ class FakeController:
         """A protective stop ends what the arm was about to do."""
         raise NotImplementedError
 
-    # ------------------------------------------------------------ the loop
+    def behind(self) -> bool:
+        """Whether somebody who listens has not heard yet what was told."""
+        return False
 
-    def move(self, joints: np.ndarray) -> None:
-        """The arm is there at the end of this cycle."""
-        self.velocity = (joints - self.joints) / CYCLE
-        self.joints = joints.copy()
-        self.most_share.append(float((np.abs(self.velocity) / self.arm.velocity).max()))
-        del self.most_share[:-20000]
+    # ------------------------------------------------------------ the robot
+
+    @property
+    def time(self) -> float:
+        """Of the clock of the robot [s]."""
+        return self.plant.time + self.skipped
+
+    def drive(self, joints: np.ndarray, velocity: np.ndarray) -> None:
+        """The arm shall be there at the end of this cycle, so fast; in a cycle in which it is told
+        nothing it brakes, or stands."""
+        self._wanted = joints, velocity
+
+    def switch(self, vacuum: bool) -> None:
+        """The output of the vacuum."""
+        if vacuum != self.vacuum:
+            self.vacuum = vacuum
+            self._commands.append(ToolCommand(vacuum=vacuum))
+
+    def load(self, mass: float) -> None:
+        """What hangs on the tool is so heavy [kg]."""
+        self._commands.append(ToolCommand(load=mass))
+
+    def force(self) -> list[float]:
+        """What a sensor at the tool says, in the frame of the base [N]."""
+        return (
+            np.array(self.tool.force) @ quaternion_matrix(driver_of(self.arm).base[3:])
+        ).tolist()
 
     def loop(self) -> None:
         """Keep time: cycles as the clock of this machine asks for, and the state 200 times a
@@ -84,32 +145,52 @@ class FakeController:
         last, owed = time.perf_counter(), 0.0
         while True:
             now = time.perf_counter()
-            # A machine that is busy makes the robot slow, not its steps long.
-            owed += min((now - last) * self.rate, 0.02 * self.rate)
+            owed = min(owed + (now - last) * self.rate, AT_ONCE * CYCLE)
             last = now
             with self.lock:
-                while owed >= CYCLE:
-                    owed -= CYCLE
-                    self.time += CYCLE
+                begun = time.thread_time()
+                while owed >= CYCLE and not self.behind():
+                    owed -= CYCLE * self.slow
                     self._happen()
                     if not self.protective:
                         self.cycle()
-                    self.world.advance(self.joints, self.vacuum)
+                    self._step()
+                self.worked += time.thread_time() - begun
                 self.publish()
             time.sleep(0.005)
 
+    def _step(self) -> None:
+        """A cycle of the cell."""
+        wanted, self._wanted = self._wanted, None
+        if wanted is None and self.speed.any():
+            self.plant.stop()
+            self.told, self.speed = self.plant.where(), self.speed * 0
+        span = CYCLE * self.slow
+        waits = self.vacuum != bool(self.tool.vacuum) or self._commands
+        self._calm = 0.0 if wanted or waits or not self.plant.rests() else self._calm + span
+        if self._calm > CALM:
+            self.skipped += span
+            return
+        joints, speed = wanted or (self.told, self.speed)
+        speed = speed / self.slow
+        ends, speeds = np.stack([self.told, joints]), np.stack([self.speed, speed])
+        path = Motion("cross", np.array([0.0, span]), ends, speeds)
+        commands, self._commands = self._commands, []
+        self.tool = self.plant.execute(path, commands).tool
+        share = np.abs(joints - self.told) / span / self.arm.velocity
+        self.most_share = max(self.most_share, float(share.max()))
+        self.told, self.speed = joints.copy(), speed
+        self.carried = self.carried + span if self.tool.vacuum else 0.0
+
     def _happen(self) -> None:
         """What was to go wrong by now: its time counts from when the arm next moves."""
-        if self._armed and self.velocity.any():
+        if self._armed and self.speed.any():
             self._plan += [(self.time + after, *rest) for after, *rest in self._armed]
             self._plan.sort(key=lambda one: one[0])
             self._armed.clear()
-        if self.world.held is None:
-            self._carried = 0.0
-        self._carried += CYCLE
         while self._plan and self._plan[0][0] <= self.time:
-            if self._plan[0][1] == "drop" and self._carried < 0.5:
-                break  # It has to hang there first.
+            if self.carried < self._plan[0][2].get("carried", 0.0):
+                break  # Something has to have hung on the cup for so long first.
             _, what, given = self._plan.pop(0)
             self.tell({"op": what, **given})
 
@@ -117,16 +198,18 @@ class FakeController:
 
     def tell(self, said: dict[str, Any]) -> dict[str, Any]:
         """One line of the socket for tests."""
-        op, world = said["op"], self.world
+        op = said["op"]
         with self.lock:
-            if op == "present":
-                world.present(said["name"], said["half"], said["pose"])
-            elif op == "take":
-                world.take(said.get("name") or world.held or "")
+            if op == "cell":
+                self.end()
+                self.begin(pickle.loads(base64.b64decode(said["setup"])))
+            elif op == "request":
+                self._request(said)
             elif op == "drop":
-                world.drop()
+                # The pump fails: its output stays on.
+                self._commands.append(ToolCommand(vacuum=False))
             elif op == "protective":
-                self.protective, self.velocity = said.get("on", True), self.velocity * 0
+                self.protective = said.get("on", True)
                 if self.protective:
                     self.end()
             elif op == "refuse":
@@ -135,31 +218,44 @@ class FakeController:
                 self.slow = said["factor"]
             elif op == "clock":
                 self.jump += said["by"]
-            elif op == "stand":
-                self.arm = get_arm(self.arm.name, "suction", tuple(said["base"]))
-                stiff = self.world.stiff
-                self.world = KinematicWorld(self.arm)
-                self.world.stiff = stiff
-                self.joints = np.array(said["joints"], float)
-            elif op == "joints":
-                self.joints = np.array(said["joints"], float)
             elif op == "cut":
                 self.cut_until = time.perf_counter() + said.get("seconds", 0.0)
                 self.cut()
             elif op == "later":
                 what = {key: said[key] for key in said if key not in ("op", "what", "after")}
                 self._armed.append((said["after"], said["what"], what))
+            joints, velocity = self.plant.measured()
+            poses = self.plant.truth()
+            seen = self.plant.pictures.look(self.time, poses) if op == "look" else ()
             return {
                 "time": self.time,
-                "joints": self.joints.tolist(),
-                "speed": float(np.abs(self.velocity).max()),
-                "share": max(self.most_share, default=0.0),
-                "held": world.held,
-                "odd": world.odd,
+                "joints": joints.tolist(),
+                "moves": bool(self.speed.any() or np.abs(velocity).max() > STANDS),
+                "share": self.most_share,
+                "held": self.plant.held(),
+                "odd": self.odd,
                 "vacuum": self.vacuum,
-                "poses": {name: pose.tolist() for name, pose in world.pose.items()},
+                "poses": {name: pose.tolist() for name, pose in poses.items()},
+                "seen": base64.b64encode(pickle.dumps(seen)).decode(),
+                "worked": self.worked,
                 "ports": self.ports,
             }
+
+    def _request(self, said: dict[str, Any]) -> None:
+        """A magazine or a person does something; a block that lies there is not presented again."""
+        pose, block = np.array(said["pose"], float), said["block"]
+        if said["what"] == "present":
+            for name, known in self.plant.truth().items():
+                near = math.dist(known[:3], pose[:3]) < CLOSE
+                if near != (name == block):
+                    self.odd.append(f"{block} is presented, and {name} is at {known[:3].tolist()}")
+                elif near:
+                    return
+        request = Request(said["what"], block, said["kind"], pose)
+        report = self.plant.request(request)
+        if report.stop is not Stop.END:
+            self.odd.append(report.detail)
+        self.tool = self.plant.bench.feel()
 
     def serve(self) -> None:
         """Answer tests, one line a question, until the input ends."""
@@ -202,6 +298,14 @@ class FakeProcess:
         self.lines.write(json.dumps({"op": op, **given}) + "\n")
         self.lines.flush()
         return json.loads(self.lines.readline())
+
+    def cell(self, setup: Setup) -> None:
+        """Put it into another cell."""
+        self.ask("cell", setup=base64.b64encode(pickle.dumps(setup)).decode())
+
+    def look(self) -> tuple[BlockReading, ...]:
+        """What cameras over it see now."""
+        return pickle.loads(base64.b64decode(self.ask("look")["seen"]))
 
     def close(self) -> None:
         """End it."""

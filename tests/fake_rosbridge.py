@@ -16,8 +16,16 @@ from typing import Any
 import numpy as np
 
 from fake_controller import CYCLE, FakeController
+from learn2assemble.motion.plant import Motion
 from learn2assemble.motion.program import driver_of
+from learn2assemble.robot.arm import get_arm
 
+TEXT, CLOSE, PING, PONG = 1, 8, 9, 10
+"""Kinds of frames."""
+AHEAD = 3
+"""Cycles that may pass until those who listen have heard of the one before them."""
+PERIOD = 0.004
+"""Between two states [s of this machine]."""
 _GUID = "258EAFA5-E914-47DA-95CA-C5AB0DC85B11"
 
 
@@ -25,15 +33,15 @@ class FakeRosbridge(FakeController):
     """See the module."""
 
     def __init__(self, host: str, rate: float) -> None:
-        super().__init__(host, rate)
-        self.names = list(driver_of(self.arm).joints)
+        self.names = list(driver_of(get_arm("ur5e", "suction")).joints)
         self.goal: dict[str, Any] | None = None
         self.points: list[tuple[float, np.ndarray, np.ndarray]] = []
         self.since = 0.0
         self._open: dict[socket.socket, set[str]] = {}
         self._last = 0.0
-        # Whoever looks at forces over a network needs something soft.
-        self.world.stiff = 1e4
+        self._cycles = self._known = 0
+        """How many there were, and how many of them those who listen have heard of."""
+        super().__init__(host, rate)
         listener = socket.create_server((host, 0))
         self.ports["bridge"] = listener.getsockname()[1]
         threading.Thread(target=self._accept, args=(listener,), daemon=True).start()
@@ -42,25 +50,25 @@ class FakeRosbridge(FakeController):
 
     def cycle(self) -> None:
         """One step along the trajectory."""
+        self._cycles += 1
         if not self.points:
-            self.velocity = self.velocity * 0
             return
-        self.since += CYCLE / self.slow
+        self.since += CYCLE
         while len(self.points) > 1 and self.points[1][0] <= self.since + 1e-9:
             self.points.pop(0)
         if len(self.points) == 1:
-            self.move(self.points[0][1])
+            self.drive(self.points[0][1], np.zeros_like(self.told))
             self._end(4, 0)
             return
         (t, q, v), (s, r, w) = self.points[:2]
-        h = s - t
-        u, o = (self.since - t) / h, 1 - (self.since - t) / h
-        self.move(
-            o * o * (1 + 2 * u) * q
-            + u * o * o * h * v
-            + u * u * (3 - 2 * u) * r
-            + u * u * (u - 1) * h * w
-        )
+        path = Motion("", np.array([t, s]), np.stack([q, r]), np.stack([v, w]))
+        there, velocity = path.at(np.array([self.since]))
+        self.drive(there[0], velocity[0])
+
+    def behind(self) -> bool:
+        """Whoever looks after the guards of a motion from elsewhere has to keep up with it, however
+        busy this machine is."""
+        return bool(self._open) and self._cycles - self._known >= AHEAD
 
     def _end(self, status: int, code: int, words: str = "") -> None:
         goal, self.goal, self.points = self.goal, None, []
@@ -82,8 +90,10 @@ class FakeRosbridge(FakeController):
         if sorted(told["joint_names"]) != sorted(self.names) or self.protective:
             self._end(6, -2, "joints")
             return
+        said = {"op": "action_feedback", "id": said["id"], "action": said["action"], "values": {}}
+        self._tell(connection, said)
         row = [told["joint_names"].index(name) for name in self.names]
-        self.points, self.since = [(0.0, self.joints.copy(), self.velocity.copy())], 0.0
+        self.points, self.since = [(0.0, self.told.copy(), self.speed.copy())], 0.0
         for point in told["points"]:
             at = point["time_from_start"]
             q, v = (np.array(point[key])[row] for key in ("positions", "velocities"))
@@ -102,29 +112,32 @@ class FakeRosbridge(FakeController):
     # ------------------------------------------------------------ topics
 
     def publish(self) -> None:
-        """The state, 125 times a second at most, to everybody who listens."""
+        """The state, 125 times a second at most, to everybody who listens, and a ping, which comes
+        back when they have heard it."""
         now = time.perf_counter()
-        if now - self._last < 0.008:
+        if not self._open or now - self._last < PERIOD:
             return
         self._last = now
+        joints, velocity = self.plant.measured()
         at = self.time + self.jump
         stamp = {"sec": int(at), "nanosec": int(at % 1 * 1e9)}
         said = {
             "/joint_states": {
                 "header": {"stamp": stamp, "frame_id": ""},
                 "name": self.names,
-                "position": self.joints.tolist(),
-                "velocity": self.velocity.tolist(),
+                "position": joints.tolist(),
+                "velocity": velocity.tolist(),
                 "effort": [],
             },
-            "/tool/wrench": {"wrench": {"force": {"x": 0.0, "y": 0.0, "z": self.world.force}}},
-            "/suction/held": {"data": self.world.held is not None},
+            "/tool/wrench": {"wrench": {"force": dict(zip("xyz", self.force(), strict=True))}},
+            "/suction/held": {"data": bool(self.tool.vacuum)},
             "/robot/stopped": {"data": self.protective},
             "/robot_description": {"data": f'<?xml version="1.0"?><robot name="{self.arm.name}">'},
         }
         for connection, topics in list(self._open.items()):
             for topic in topics & said.keys():
                 self._tell(connection, {"op": "publish", "topic": topic, "msg": said[topic]})
+            self._send(connection, PING, b"%d" % self._cycles)
 
     def _heard(self, connection: socket.socket, said: dict[str, Any]) -> None:
         op = said["op"]
@@ -133,8 +146,9 @@ class FakeRosbridge(FakeController):
         elif op == "send_action_goal":
             self._take(connection, said)
         elif op == "publish" and said["topic"] == "/suction/vacuum":
-            self.vacuum = bool(said["msg"]["data"])
-            self.world.advance(self.joints, self.vacuum)
+            self.switch(bool(said["msg"]["data"]))
+        elif op == "publish" and said["topic"] == "/tool/load":
+            self.load(float(said["msg"]["data"]))
 
     # ------------------------------------------------------------ websocket
 
@@ -166,8 +180,10 @@ class FakeRosbridge(FakeController):
             text = b""
             while True:
                 last, code, content = _frame(connection)
-                if code == 8:
+                if code == CLOSE:
                     break
+                if code == PONG:
+                    self._known = max(self._known, int(content))
                 text += content if code in (0, 1) else b""
                 if last and code in (0, 1):
                     with self.lock:
@@ -178,10 +194,12 @@ class FakeRosbridge(FakeController):
         connection.close()
 
     def _tell(self, connection: socket.socket, said: dict[str, Any]) -> None:
-        content = json.dumps(said).encode()
-        size = struct.pack("!BBH", 0x81, 126, len(content))
+        self._send(connection, TEXT, json.dumps(said).encode())
+
+    def _send(self, connection: socket.socket, code: int, content: bytes) -> None:
+        size = struct.pack("!BBH", 128 | code, 126, len(content))
         if len(content) < 126:
-            size = struct.pack("!BB", 0x81, len(content))
+            size = struct.pack("!BB", 128 | code, len(content))
         with contextlib.suppress(OSError):
             connection.sendall(size + content)
 

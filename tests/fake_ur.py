@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from fake_controller import CYCLE, FakeController
-from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.program import driver_of
 from urscript import Halt, Script, ScriptError
 
@@ -30,14 +29,12 @@ class FakeUr(FakeController):
 
     def __init__(self, host: str, rate: float) -> None:
         super().__init__(host, rate)
-        self._to_base = quaternion_matrix(driver_of(self.arm).base[3:]).T
         self.program: Generator[None, None, None] | None = None
         self.outputs: dict[int, int] = {}
         self.inputs: dict[int, int] = {}
         self.scripts = 0
         self._subscribers: list[tuple[socket.socket, int, list[str], float, float]] = []
         self._open: list[socket.socket] = []
-        self._wait = 0
         for name, port, serve in (
             ("rtde", RTDE_PORT, self._rtde),
             ("script", 0, self._script),
@@ -52,17 +49,11 @@ class FakeUr(FakeController):
     def cycle(self) -> None:
         """One step of the program."""
         if self.program is None:
-            self.velocity = self.velocity * 0
             return
-        self._wait += 1
-        if self._wait < self.slow:
-            self.velocity = self.velocity * 0
-            return
-        self._wait = 0
         try:
             next(self.program)
         except (StopIteration, Halt, RuntimeError):
-            self.program, self.velocity = None, self.velocity * 0
+            self.program = None
 
     def end(self) -> None:
         """The program is over."""
@@ -71,15 +62,19 @@ class FakeUr(FakeController):
     def servoj(
         self, q: list[float], t: float = 0.002, lookahead_time: float = 0.1, gain: int = 300
     ) -> Generator[None, None, None]:
-        self.move(np.array(q))
+        """The drives follow smoothly, critically damped: a step of a milliradian where a program
+        begins would push with 40 N what is pressed on something."""
         for _ in range(max(round(t / CYCLE), 1)):
+            speed, off = self.speed * self.slow, (np.array(q) - self.told) / lookahead_time
+            faster = speed + (off - 2 * speed) / lookahead_time * CYCLE
+            self.drive(self.told + (speed + faster) / 2 * CYCLE, faster)
             yield
 
     def stopj(self, a: float) -> Generator[None, None, None]:
-        speed = self.velocity.copy()
-        while np.abs(speed).max() > 1e-9:
-            speed = np.sign(speed) * np.maximum(np.abs(speed) - a * CYCLE, 0.0)
-            self.move(self.joints + speed * CYCLE)
+        while self.speed.any():
+            speed = self.speed * self.slow
+            slower = np.sign(speed) * np.maximum(np.abs(speed) - a * CYCLE, 0.0)
+            self.drive(self.told + (speed + slower) / 2 * CYCLE, slower)
             yield
 
     def sleep(self, t: float) -> Generator[None, None, None]:
@@ -96,14 +91,15 @@ class FakeUr(FakeController):
         return float(np.linalg.norm(a))
 
     def get_tcp_force(self) -> list[float]:
-        return [*(self._to_base @ [0.0, 0.0, self.world.force]).tolist(), 0.0, 0.0, 0.0]
+        return [*self.force(), 0.0, 0.0, 0.0]
 
     def get_actual_joint_positions(self) -> list[float]:
-        return self.joints.tolist()
+        return self.plant.measured()[0].tolist()
 
     def set_tcp(self, pose: Any) -> None: ...
 
-    def set_payload(self, m: float, cog: Any) -> None: ...
+    def set_payload(self, m: float, cog: Any) -> None:
+        self.load(m - driver_of(self.arm).tool_mass)
 
     def zero_ftsensor(self) -> None: ...
 
@@ -111,13 +107,12 @@ class FakeUr(FakeController):
 
     def set_tool_digital_out(self, n: int, on: bool) -> None:
         if n == 0:
-            self.vacuum = bool(on)
-            self.world.advance(self.joints, self.vacuum)
+            self.switch(bool(on))
 
     def set_standard_digital_out(self, n: int, on: bool) -> None: ...
 
     def get_tool_digital_in(self, n: int) -> bool:
-        return n == 0 and self.world.held is not None
+        return n == 0 and bool(self.tool.vacuum)
 
     def get_standard_digital_in(self, n: int) -> bool:
         return False
@@ -205,7 +200,8 @@ class FakeUr(FakeController):
             elif kind == ord("O"):
                 names = [name for name in content[8:].decode().split(",") if name]
                 wanted = names, struct.unpack("!d", content[:8])[0]
-                kinds = [self._value(name)[0] for name in names]
+                with self.lock:
+                    kinds = [self._value(name)[0] for name in names]
                 answer(kind, bytes([1]) + ",".join(kinds).encode())
             elif kind == ord("I"):
                 names = [name for name in content.decode().split(",") if name]
@@ -232,11 +228,11 @@ class FakeUr(FakeController):
         """Type and value of an output."""
         if name.startswith("output_int_register_"):
             return "INT32", self.outputs.get(int(name.rpartition("_")[2]), 0)
-        bits = int(self.world.held is not None) << 16
+        bits = int(bool(self.tool.vacuum)) << 16
         return {
             "timestamp": ("DOUBLE", self.time + self.jump),
-            "actual_q": ("VECTOR6D", self.joints),
-            "actual_qd": ("VECTOR6D", self.velocity),
+            "actual_q": ("VECTOR6D", self.plant.measured()[0]),
+            "actual_qd": ("VECTOR6D", self.plant.measured()[1]),
             "actual_TCP_force": ("VECTOR6D", self.get_tcp_force()),
             "actual_digital_input_bits": ("UINT64", bits),
             "standard_analog_input0": ("DOUBLE", 0.0),

@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from learn2assemble.assembly.kit import DEFAULT_KIT, load_kit
-from learn2assemble.cell.carry_out import prepare
+from learn2assemble.cell.carry_out import prepare, setup_of
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.workcell import Job, Workcell
 from learn2assemble.cli import main
@@ -23,14 +23,18 @@ from learn2assemble.errors import InputError
 from learn2assemble.jobs.run import IN_HAND, Ran, run
 from learn2assemble.motion.plant import BlockReading, Request, Stop, ToolCommand, standing
 from learn2assemble.motion.safety import Box, Safety
-from learn2assemble.motion.setup import Setup, Surroundings, open_plant
+from learn2assemble.motion.setup import Noise, Setup, Surroundings, open_plant
 from learn2assemble.planning.plan import ArmReport, Plan
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.robot.arm import get_arm
-from test_controllers import Fake
+from test_controllers import SAME, Fake, under_the_cup
 
 RATES = {"ur": 20.0, "ros2": 3.0}
 """Of the robot's clock to ours: behind ROS it is we who look at forces, so we have to be quick."""
+PATIENT = 30.0
+"""How long the other side may be silent on a busy machine, where nothing is asked of that [s]."""
+NOISE = Noise(4e-4, 2e-3)
+"""Of the cameras, where there are some."""
 EDGE = 0.032
 """Of a cell [m]."""
 
@@ -52,43 +56,42 @@ def wall(x: int, y: int, z: int, holed: bool = False) -> tuple[Plan, Job]:
 
 
 class Cell:
-    """A fake controller with the blocks of a plan, what sees them, and the person beside it.
+    """A fake controller with the blocks of a plan in the dynamic cell, what sees them, and the
+    person beside it.
 
     Args:
-        kind: ``ur`` or ``ros2``.
+        fake: its controller.
         plan: that is carried out.
         job: of it.
     """
 
-    def __init__(self, kind: str, plan: Plan, job: Job) -> None:
-        rate = RATES[kind]
-        self.fake, self.plan, self.job, self.kind = Fake(kind, rate), plan, job, kind
-        self.rate, self.ask = rate, self.fake.ask
-        self.half = {piece.id: piece.half.tolist() for piece in job.pieces}
-        arm = job.arm
-        base = [*arm.base_position.tolist(), arm.base_yaw]
-        self.ask("stand", base=base, joints=arm.home.tolist())
+    def __init__(self, fake: Fake, plan: Plan, job: Job) -> None:
+        self.fake, self.plan, self.job, self.kind = fake, plan, job, fake.kind
+        self.rate, self.ask = fake.rate, fake.ask
+        self.fake.process.cell(setup_of(job, Workcell("ur5e", "suction", noise=NOISE)))
 
     def serve(self, request: Request) -> None:
         """A magazine, or a person."""
-        if request.what in ("present", "place"):
-            half = self.half[request.kind]
-            self.ask("present", name=request.block, half=half, pose=request.pose.tolist())
-        else:
-            there = self.ask("state")
-            name = there["held"] if request.block == IN_HAND else request.block
-            if name in there["poses"]:
-                self.ask("take", name=name)
+        what, name, kind, pose = request
+        if name == IN_HAND:
+            name = self.ask("state")["held"] or name
+        self.ask("request", what=what, block=name, kind=kind, pose=pose.tolist())
 
-    def run(self, **given: Any) -> Ran:
-        """Carry the plan out."""
+    def run(self, eyes: bool = False, answer: float = PATIENT, **given: Any) -> Ran:
+        """Carry the plan out.
+
+        Args:
+            eyes: cameras see the blocks; else they are taken to be where they were put.
+            answer: in which the controller has to begin with what it is told [s].
+        """
         port = self.fake.process.ports["script" if self.kind == "ur" else "bridge"]
         around = Surroundings(
             serve=self.serve,
-            trust_placements=True,
+            look=self.fake.process.look if eyes else None,
+            trust_placements=not eyes,
             patience=3.0 * self.rate,
-            silence=3.0,
-            answer=2.0,
+            silence=PATIENT,
+            answer=answer,
         )
         address = f"{self.kind}://{self.fake.process.host}:{port}"
         return run(self.plan, address, **{"around": around, **given})
@@ -102,15 +105,17 @@ class Cell:
             if piece.id in poses
         }
 
-    def close(self) -> None:
-        self.fake.process.close()
 
-
-@pytest.fixture(params=["ur", "ros2"])
-def cell(request: pytest.FixtureRequest) -> Iterator[Cell]:
-    made = Cell(request.param, *wall(6, 3, 2 if request.param == "ur" else 1))
+@pytest.fixture(scope="module", params=["ur", "ros2"])
+def fake(request: pytest.FixtureRequest) -> Iterator[Fake]:
+    made = Fake(request.param, RATES[request.param])
     yield made
-    made.close()
+    made.process.close()
+
+
+@pytest.fixture
+def cell(fake: Fake) -> Cell:
+    return Cell(fake, *wall(6, 3, 2 if fake.kind == "ur" else 1))
 
 
 def test_a_build_behind_a_controller(cell: Cell) -> None:
@@ -118,6 +123,8 @@ def test_a_build_behind_a_controller(cell: Cell) -> None:
     ran = cell.run(progress=said.append)
     assert ran.stop is Stop.END, ran.reason
     assert ran.complete, ran.reason
+    assert ran.plan.arm is not None
+    assert ran.plan.arm.failures == ()
     count = len(cell.job.pieces)
     assert ran.blocks == count
     errors = cell.errors()
@@ -179,7 +186,8 @@ FAULTS: dict[str, tuple[dict[str, Any], Stop]] = {
     "slow": ({"what": "slow", "after": 2.0, "factor": 50.0}, Stop.LATE),
     "clock": ({"what": "clock", "after": 3.0, "by": -7.0}, Stop.LOST),
     "refused": ({"what": "refuse", "after": 3.0}, Stop.REFUSED),
-    "vacuum": ({"what": "drop", "after": 5.0}, Stop.END),
+    "vacuum": ({"what": "drop", "after": 5.0, "carried": 0.5}, Stop.END),
+    "cut as the vacuum is made": ({"what": "cut", "after": 1.0, "carried": 1e-3}, Stop.LOST),
 }
 """What happens so long after the arm first moves [s of its clock], and how the run ends then."""
 
@@ -192,7 +200,8 @@ def test_after_a_fault_the_arm_stands_and_the_run_goes_on(
         pytest.skip("the plant is tested without a build: it takes long behind ROS")
     given, stop = FAULTS[fault]
     cell.ask("later", **given)
-    first = cell.run(state=tmp_path / "run.jsonl")
+    answer = 2.0 if fault == "refused" else PATIENT
+    first = cell.run(eyes=fault == "vacuum", answer=answer, state=tmp_path / "run.jsonl")
     cell.fake.stands()
     assert first.stop is stop, first.reason
     if stop is Stop.END:
@@ -208,43 +217,46 @@ def test_after_a_fault_the_arm_stands_and_the_run_goes_on(
     assert_built(cell)
 
 
-def cut_ten_times(cell: Cell, state: Path, span: float) -> tuple[int, int]:
-    """A run whose connection is cut ten times, and goes on every time.
+class Cuts(NamedTuple):
+    """A run whose connection was cut, and that went on every time."""
+
+    good: int
+    """Cuts that ended a run as they should."""
+    placed: int
+    """Blocks that were placed by all runs."""
+    attempts: int
+    failures: list[str]
+    """Outcomes of those that did not reach what they should."""
+
+
+def cut_ten_times(cell: Cell, state: Path, span: float) -> Cuts:
+    """A run whose connection is cut ten times at random moments.
 
     Args:
         state: its file.
         span: longest time until the next cut [s of the robot].
-
-    Returns:
-        how many cuts ended a run as they should, and how many blocks were placed by all runs.
     """
     rng, good, placed = np.random.default_rng(7), 0, 0
     for _ in range(10):
-        cell.ask("later", what="cut", after=float(rng.uniform(1.0, span)))
+        cell.ask("later", what="cut", after=float(rng.uniform(0.5, span)))
         ran = cell.run(state=state)
         good += ran.stop is Stop.LOST
         placed += ran.blocks
         cell.fake.stands()
     ran = finished(cell, state)[-1]
-    return good, placed + ran.blocks
+    assert ran.plan.arm is not None
+    failures = [f"{one.outcome}: {one.detail}" for one in ran.plan.arm.failures]
+    return Cuts(good, placed + ran.blocks, ran.plan.arm.attempts, failures)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("kind", "size", "span"), [("ur", (14, 3, 5), 25.0), ("ros2", (6, 3, 2), 3.5)]
-)
-def test_the_connection_is_cut_ten_times(
-    kind: str, size: tuple[int, int, int], span: float, tmp_path: Path
-) -> None:
+def test_the_connection_is_cut_ten_times(fake: Fake, tmp_path: Path) -> None:
     """A hundred bricks take minutes: ``python tests/test_run.py``."""
-    cell = Cell(kind, *wall(*size))
-    try:
-        good, placed = cut_ten_times(cell, tmp_path / "run.jsonl", span)
-        assert good >= 9  # The last ones may come when everything is done.
-        assert placed == len(cell.job.pieces)
-        assert_built(cell)
-    finally:
-        cell.close()
+    cell = Cell(fake, *wall(6, 3, 2))
+    cuts = cut_ten_times(cell, tmp_path / "run.jsonl", 4.5)
+    assert cuts.good >= 9, cuts  # The last ones may come when everything is done.
+    assert cuts.placed == len(cell.job.pieces)
+    assert_built(cell)
 
 
 # ---------------------------------------------------------------- before anything moves
@@ -252,35 +264,30 @@ def test_the_connection_is_cut_ten_times(
 
 def test_a_robot_that_is_not_at_home_does_not_move(cell: Cell) -> None:
     away = cell.job.arm.home + np.array([0.3, 0, 0, 0, 0, 0])
-    cell.ask("joints", joints=away.tolist())
+    cell.fake.process.cell(setup_of(cell.job, Workcell("ur5e"))._replace(joints=away))
     ran = cell.run()
     assert (ran.stop, ran.blocks, ran.link.motions) == (Stop.REFUSED, 0, 0)
     assert "not at home: shoulder_pan is 0.30 rad away" in (ran.reason or "")
-    assert (cell.fake.stands() == away).all()
+    assert np.abs(cell.fake.stands() - away).max() < SAME
 
 
 def test_a_stopped_robot_does_not_move(cell: Cell) -> None:
     cell.ask("protective")
     ran = cell.run()
     assert (ran.stop, ran.link.motions) == (Stop.PROTECTIVE, 0)
-    assert (cell.fake.stands() == cell.job.arm.home).all()
+    assert np.abs(cell.fake.stands() - cell.job.arm.home).max() < SAME
 
 
 def test_a_full_hand_is_emptied_first_or_nothing_moves(cell: Cell) -> None:
-    from learn2assemble.robot.kinematics import forward, get_chain
-
-    arm = cell.job.arm
-    tip, _ = forward(get_chain(arm), arm.home)
+    cell.fake.process.cell(under_the_cup(cell.job.arm))
     port = cell.fake.process.ports["script" if cell.kind == "ur" else "bridge"]
     address = f"{cell.kind}://{cell.fake.process.host}:{port}"
-    around = Surroundings(patience=60.0, silence=3.0)
-    setup = Setup(arm, {}, {}, around=around)
-    plant = open_plant(address, setup)
-    cell.ask("present", name="x", half=[0.05] * 3, pose=[*(tip - [0, 0, 0.05]), 1, 0, 0, 0])
+    around = Surroundings(patience=60.0, silence=PATIENT, answer=PATIENT)
+    plant = open_plant(address, Setup(cell.job.arm, {}, {}, around=around))
     told = [ToolCommand(vacuum=True)]
-    assert plant.execute(standing("pick", arm.home, 2.0), told).stop is Stop.END
+    assert plant.execute(standing("pick", cell.job.arm.home, 2.0), told).stop is Stop.END
     plant.close()
-    cell.fake.until(held="x")
+    cell.fake.until(held="a")
     ran = run(cell.plan, address, around=around._replace(trust_placements=True))
     assert (ran.stop, ran.link.motions) == (Stop.REFUSED, 0)
     assert "the hand holds something" in (ran.reason or "")
@@ -290,7 +297,7 @@ def test_a_full_hand_is_emptied_first_or_nothing_moves(cell: Cell) -> None:
 
 
 def test_without_eyes_nothing_is_moved(cell: Cell) -> None:
-    around = Surroundings(serve=cell.serve, patience=60.0, silence=3.0)
+    around = Surroundings(serve=cell.serve, patience=60.0, silence=PATIENT, answer=PATIENT)
     ran = cell.run(around=around)
     assert not ran.complete
     assert ran.blocks == 0
@@ -301,11 +308,13 @@ def test_an_eye_that_sees_what_is_not_there_ends_the_run(cell: Cell) -> None:
     def look() -> list[BlockReading]:
         return [BlockReading("unicorn", np.array([0.0, 0, 0, 1, 0, 0, 0]), np.zeros((6, 6)), 0.0)]
 
-    around = Surroundings(serve=cell.serve, look=look, patience=60.0, silence=3.0)
+    around = Surroundings(
+        serve=cell.serve, look=look, patience=60.0, silence=PATIENT, answer=PATIENT
+    )
     ran = cell.run(around=around)
     assert ran.stop is Stop.REFUSED
     assert "unicorn" in (ran.reason or "")
-    assert (cell.fake.stands() == cell.job.arm.home).all()
+    assert np.abs(cell.fake.stands() - cell.job.arm.home).max() < SAME
 
 
 def test_a_motion_that_leaves_the_box_is_not_sent(cell: Cell) -> None:
@@ -317,25 +326,8 @@ def test_a_motion_that_leaves_the_box_is_not_sent(cell: Cell) -> None:
 
 
 def test_eyes_take_the_place_of_trust(cell: Cell) -> None:
-    """A camera that sees all blocks, with its errors."""
-    rng = np.random.default_rng(5)
-    covariance = np.diag([4e-4**2] * 3 + [2e-3**2] * 3)
-    clock = [0.0]
-
-    def look() -> list[BlockReading]:
-        state = cell.ask("state")
-        clock[0] = state["time"] - 0.1 * cell.rate
-        found = []
-        for name, pose in state["poses"].items():
-            seen = np.array(pose)
-            seen[:3] += rng.normal(0, 4e-4, 3)
-            found.append(BlockReading(name, seen, covariance, max(clock[0], 0.0)))
-        return found
-
-    around = Surroundings(
-        serve=cell.serve, look=look, patience=3.0 * cell.rate, silence=3.0, answer=2.0
-    )
-    ran = cell.run(around=around)
+    """Cameras that see all blocks, with their errors."""
+    ran = cell.run(eyes=True)
     assert ran.complete, ran.reason
     assert max(cell.errors().values()) <= 3e-3
 
@@ -384,7 +376,11 @@ def test_the_command(
     address = f"{cell.kind}://{cell.fake.process.host}:{port}"
     monkeypatch.setattr("learn2assemble.cli.running._serve", cell.serve)
     told = Surroundings(
-        serve=cell.serve, trust_placements=True, patience=3.0 * cell.rate, silence=3.0, answer=2.0
+        serve=cell.serve,
+        trust_placements=True,
+        patience=3.0 * cell.rate,
+        silence=PATIENT,
+        answer=PATIENT,
     )
     monkeypatch.setattr("learn2assemble.motion.setup.Surroundings", lambda **given: told)
     call = ["run", str(tmp_path), "--robot", address, "--trust-placements", "--json"]
@@ -401,24 +397,31 @@ def test_the_command(
     assert not (tmp_path / "run.jsonl").exists()
 
 
-def main_of_figures() -> None:
-    """A hundred bricks behind a controller of Universal Robots, the connection cut ten times."""
+def main_of_figures(kinds: list[str]) -> None:
+    """A hundred bricks in the dynamic cell behind each controller, the connection cut ten times."""
     import tempfile
+    import time
 
-    for kind, rate in (("ur", 1.0), ("ros2", 1.0)):
-        RATES[kind] = rate
-        cell = Cell(kind, *wall(6, 3, 2))
-        ran = cell.run()
-        print(kind, "in time:", ran.reason, ran.blocks, ran.seconds_a_block, ran.link)
-        cell.close()
-    RATES["ur"] = 20.0
-    cell = Cell("ur", *wall(20, 3, 16, True))
-    with tempfile.TemporaryDirectory() as folder:
-        good, placed = cut_ten_times(cell, Path(folder) / "run.jsonl", 120.0)
-    assert_built(cell)
-    print(f"{placed} bricks, {good} of 10 cuts ended as lost, all in their places")
-    cell.close()
+    for kind in kinds or ["ur", "ros2"]:
+        fake = Fake(kind, RATES[kind])
+        cell, begun = Cell(fake, *wall(20, 3, 16, True)), time.process_time()
+        with tempfile.TemporaryDirectory() as folder:
+            cuts = cut_ten_times(cell, Path(folder) / "run.jsonl", 120.0)
+        state, took = cell.ask("state"), time.process_time() - begun
+        poses = np.array([pose[:3] for pose in state["poses"].values()])
+        errors = [np.linalg.norm(poses - piece.target, axis=1).min() for piece in cell.job.pieces]
+        print(
+            f"{kind}: {cuts.placed} bricks in {cuts.attempts} attempts, {cuts.good} of 10 cuts "
+            f"ended as lost; errors {1e3 * np.mean(errors):.2f} mm on average, "
+            f"{1e3 * max(errors):.2f} mm at worst; {state['time']:.0f} s of the robot; "
+            f"{took:.0f} s of the processor, and {state['worked']:.0f} s in the cell; "
+            f"odd: {state['odd']}; failures: {cuts.failures}",
+            flush=True,
+        )
+        fake.process.close()
 
 
 if __name__ == "__main__":
-    main_of_figures()
+    import sys
+
+    main_of_figures(sys.argv[1:])

@@ -31,6 +31,7 @@ from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.inverse import solve
+from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.simulation.disturbances import (
     PERIOD,
     Chances,
@@ -39,6 +40,7 @@ from learn2assemble.simulation.disturbances import (
     stretched,
 )
 from learn2assemble.simulation.execution import PRESSED
+from learn2assemble.simulation.kinematic_plant import KinematicPlant
 from learn2assemble.simulation.plant import DynamicPlant, simulated
 
 ARM = get_arm("panda", "suction")
@@ -145,6 +147,139 @@ def test_a_block_is_taken_up_and_set_down_by_touch(physics: str) -> None:
     assert not plant.execute(standing("release", report.joints, 0.3), off).tool.vacuum
     (seen,) = plant.sense().blocks
     assert np.abs(seen.pose[:3] - PLACE[:3]).max() < 1e-3
+
+
+def holding() -> DynamicPlant:
+    """A plant whose cup holds the brick over the table, standing still."""
+    plant = DynamicPlant(setup()._replace(joints=over(0.025)))
+    on = (ToolCommand(vacuum=True), ToolCommand(load=0.075))
+    made = plant.execute(standing("pick", over(0.025), 0.5), on, (Guard(hold="made"),))
+    assert made.stop == Stop.HELD
+    assert plant.execute(way("lift", over(0.025), over(0.1), 1.0)).stop == Stop.END
+    return plant
+
+
+def pieces(run: Motion, span: float) -> list[Motion]:
+    """A motion cut into pieces of so many seconds."""
+    marks = np.arange(0.0, run.seconds + span / 2, span)
+    q, v = run.at(marks)
+    both = zip(q, q[1:], v, v[1:], strict=False)
+    return [
+        Motion(run.stage, np.array([0.0, span]), np.stack([a, b]), np.stack([c, d]))
+        for a, b, c, d in both
+    ]
+
+
+def test_a_motion_may_be_told_piece_by_piece() -> None:
+    """As a controller is told of it, cycle by cycle: the world goes the same way."""
+    turned = over(0.1) + np.array([0.5, 0, 0, 0, 0, 0, 0])
+    run, whole, cut = way("cross", over(0.1), turned, 2.0), holding(), holding()
+    whole.execute(run, (ToolCommand(load=0.08),))
+    speeds = []
+    for k, piece in enumerate(pieces(run, 0.008)):
+        told = () if k else (ToolCommand(load=0.08),)
+        assert cut.execute(piece, told).stop == Stop.END
+        speeds.append(np.abs(cut.measured()[1]).max())
+    assert max(speeds) > 0.3
+    assert np.abs(whole.measured()[0] - cut.measured()[0]).max() < 1e-5
+    assert np.abs(whole.truth()["a"] - cut.truth()["a"]).max() < 2e-5
+    assert whole.held() == cut.held() == "a"
+    assert whole.bench.sim.drives.payload == cut.bench.sim.drives.payload == 0.08
+    assert whole.time == pytest.approx(cut.time)
+
+
+def test_an_arm_that_is_left_moving_brakes_when_it_is_stopped() -> None:
+    plant = holding()
+    turned = over(0.1) + np.array([0.5, 0, 0, 0, 0, 0, 0])
+    for piece in pieces(way("cross", over(0.1), turned, 2.0), 0.008)[:125]:
+        plant.execute(piece)
+    before, speed = plant.measured()
+    assert np.abs(speed).max() > 0.3
+    plant.stop()
+    after, speed = plant.measured()
+    assert np.abs(speed).max() < 0.02  # It still swings a little.
+    # As soon as its limits allow: no farther than it takes, and not at once.
+    assert 0 < after[0] - before[0] < 0.05
+    now = plant.time
+    plant.stop()
+    assert plant.time == now
+    # The next motion begins where it stands, and the brick hangs on the cup.
+    assert plant.held() == "a"
+    assert plant.execute(way("cross", plant.where(), turned, 1.0)).stop == Stop.END
+
+
+def test_what_a_cup_lets_go_that_stands_still_falls() -> None:
+    """What hangs still is at rest, but not asleep in the air."""
+    plant = holding()
+    plant.execute(standing("cross", over(0.1), 3.0))
+    assert plant.truth()["a"][2] == pytest.approx(0.1, abs=1e-3)
+    off = (ToolCommand(vacuum=False), ToolCommand(load=0.0))
+    plant.execute(standing("release", over(0.1), 1.0), off)
+    assert plant.truth()["a"][2] == pytest.approx(0.025, abs=1e-3)
+    # An empty cup that touches nothing feels nothing, whatever the brick lies on.
+    assert plant.sense().tool.force == (0.0, 0.0, 0.0)
+
+
+def tool_of(plant: DynamicPlant) -> np.ndarray:
+    """float64[3]: where the tool truly is [m]."""
+    return plant.bench.sim.tool()[0]
+
+
+def zero_of(plant: DynamicPlant) -> np.ndarray:
+    """float64[n]: by how much the zero of each encoder is off [rad]."""
+    straying = plant.bench.sim.straying
+    assert straying is not None
+    return straying.zero
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_encoders_do_not_see_where_their_zero_is(seed: int) -> None:
+    """The tool is off by what forward kinematics says of joints that are off."""
+    told = Disturbance(tracking=(2e-3, 0.0))
+    plant = DynamicPlant(setup(disturbance=told, seed=seed)._replace(joints=over(0.1)))
+    chain, zero = get_chain(ARM), zero_of(plant)
+    for goal in (over(0.1), over(0.15) + np.array([0.4, 0, 0, 0, 0, 0, 0])):
+        plant.execute(way("cross", plant.where(), goal, 2.0))
+        plant.execute(standing("cross", goal, 0.5))
+        assert np.abs(plant.measured()[0] - goal).max() < 1e-4
+        off = np.linalg.norm(tool_of(plant) - forward(chain, goal)[0])
+        assert off > 3e-4
+        assert np.linalg.norm(tool_of(plant) - forward(chain, goal + zero)[0]) < 1e-4
+    again = DynamicPlant(setup(disturbance=told, seed=seed))
+    assert np.array_equal(zero_of(again), zero)
+    assert not np.array_equal(zero_of(DynamicPlant(setup(disturbance=told, seed=9))), zero)
+    # Blocks that the other simulated cell moves are off by the same.
+    kinematic = simulated(
+        setup("kinematic", disturbance=told, seed=seed)._replace(joints=over(0.1))
+    )
+    assert isinstance(kinematic, KinematicPlant)
+    assert np.array_equal(kinematic.straying.zero, zero)
+    on = (ToolCommand(vacuum=True),)
+    kinematic.execute(way("pick", over(0.1), over(0.025), 1.0), on)
+    kinematic.execute(way("lift", over(0.025), over(0.1), 1.0))
+    top = kinematic.truth()["a"][2] + 0.025
+    assert top == pytest.approx(forward(chain, over(0.1) + zero)[0][2], abs=1e-4)
+    assert np.array_equal(kinematic.sense().joints, over(0.1))
+
+
+def test_joints_that_move_are_off_as_encoders_see_and_arrive() -> None:
+    size = 0.02
+    told = Disturbance(tracking=(0.0, size))
+    turned = over(0.1) + np.array([0.6, 0, 0, 0, 0, 0, 0])
+    run, off = way("cross", over(0.1), turned, 2.0), list[np.ndarray]()
+    exact = DynamicPlant(setup()._replace(joints=over(0.1)))
+    astray = DynamicPlant(setup(disturbance=told, seed=3)._replace(joints=over(0.1)))
+    for piece in pieces(run, 0.008):
+        exact.execute(piece)
+        astray.execute(piece)
+        off.append(np.abs(astray.measured()[0] - exact.measured()[0]))
+    share = 0.45 / ARM.velocity[0]
+    assert 0.1 * share * size < np.max(off) < 1.2 * share * size
+    # Joints that stand are where they were told.
+    assert np.max([one[1:] for one in off]) < 0.05 * np.max(off)
+    astray.execute(standing("cross", turned, 0.5))
+    assert np.abs(astray.measured()[0] - turned).max() < 0.02 * np.max(off)
+    assert len({round(float(one[0]), 9) for one in off}) > 100
 
 
 def test_a_cup_at_the_side_that_hangs_beside_another_block_does_not_take_its_place() -> None:

@@ -115,9 +115,14 @@ class Controller:
 
     def sense(self) -> Readings:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
-        now, look = self._now(), self.around.look
-        state = "stopped" if now.stopped else "moving" if now.moving else "ready"
+        look = self.around.look
         blocks = () if look is None else tuple(look())
+        now, until = self._now(), time.monotonic() + self.around.silence
+        # What was just seen may be newer than the last state that has come.
+        while any(one.time > now.time for one in blocks) and time.monotonic() < until:
+            time.sleep(POLL)
+            now = self._now()
+        state = "stopped" if now.stopped else "moving" if now.moving else "ready"
         return Readings(now.time, now.joints, now.velocity, blocks, now.tool, self.arm.name, state)
 
     def request(self, request: Request) -> Report:

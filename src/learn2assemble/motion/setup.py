@@ -95,6 +95,10 @@ class Disturbance(NamedTuple):
     """Largest height by which the table is off [m], and largest angle it leans by [rad]."""
     height: float = 0.0
     """Largest amount by which blocks are higher or lower than meant [m]."""
+    tracking: tuple[float, float] = (0.0, 0.0)
+    """By how much joints are elsewhere than they are told: standard deviation of where their
+    encoders have zero, one number a joint that stays and that no reading shows [rad], and largest
+    error at full speed, which varies slowly, is gone at rest, and which encoders show [rad]."""
     cameras: tuple[tuple[float, ...], ...] = ()
     """By how much each camera of the layout truly is elsewhere, in their order: along the axes of
     the world [m] and a rotation vector about the camera [rad]; left out: it is where it says."""

@@ -52,6 +52,8 @@ class Trusted:
         """Blocks in the hand, and their places float64[3] and rotations in the tool frame."""
         covariance = np.diag([PLACE**2] * 3 + [TURN**2] * 3)
         self._covariance = covariance
+        self._emptied: np.ndarray | None = None
+        """float64[3]: where the tool was when a person took out of it what nobody knows [m]."""
 
     def sense(self) -> Readings:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
@@ -100,6 +102,16 @@ class Trusted:
     def _take(self, joints: np.ndarray) -> None:
         """The tool has taken what is nearest to its point."""
         position, rotation = forward(self.chain, joints)
+        nearest = self._nearest(position)
+        together = {nearest, *(one for one, lead in self.joined.items() if lead == nearest)}
+        for name in together & self.poses.keys():
+            pose = self.poses[name]
+            place = rotation.T @ (pose[:3] - position)
+            self.held[name] = place, rotation.T @ quaternion_matrix(pose[3:])
+
+    def _nearest(self, position: np.ndarray) -> str:
+        """The block that the tool holds, or takes, where its point is at float64[3] [m]; empty:
+        none is so near."""
         nearest, best = "", WITHIN
         for name, pose in self.poses.items():
             half = body_of(self.setup.kinds[self.kinds[name]].shape).half
@@ -109,11 +121,7 @@ class Trusted:
             far += 1e-3 * float(np.linalg.norm(inside[:2]))
             if far < best:
                 nearest, best = name, far
-        together = {nearest, *(one for one, lead in self.joined.items() if lead == nearest)}
-        for name in together & self.poses.keys():
-            pose = self.poses[name]
-            place = rotation.T @ (pose[:3] - position)
-            self.held[name] = place, rotation.T @ quaternion_matrix(pose[3:])
+        return nearest
 
     def request(self, request: Request) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
@@ -124,8 +132,10 @@ class Trusted:
             if request.what in ("present", "place"):
                 self.poses[request.block] = request.pose.copy()
                 self.kinds[request.block] = request.kind
+            elif request.block in self.poses:
+                self.poses.pop(request.block)
             else:
-                self.poses.pop(request.block, None)
+                self._emptied = forward(self.chain, self.plant.sense().joints)[0]
             self.held.pop(request.block, None)
         return report
 
@@ -149,3 +159,6 @@ class Trusted:
         """As :meth:`state` said."""
         self.poses = {name: np.array(pose) for name, pose in state["poses"].items()}
         self.kinds, self.held, self.joined = dict(state["kinds"]), {}, {}
+        if self._emptied is not None:
+            # It was taken hold of when nobody was told so any more: it is not where it lay.
+            self.poses.pop(self._nearest(self._emptied), None)

@@ -19,9 +19,10 @@ from learn2assemble.motion.plant import (
 )
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.simulation.bench import Bench
+from learn2assemble.simulation.disturbances import Straying
 from learn2assemble.simulation.dynamic_world import DynamicWorld
 from learn2assemble.simulation.model import concerned
-from learn2assemble.simulation.simulation import Simulation
+from learn2assemble.simulation.simulation import NOBODY, Simulation
 from learn2assemble.simulation.things import check_motion, nearest
 
 AIM = 0.03
@@ -44,6 +45,8 @@ class ArmPlant:
         self.needs: set[str] = set()
         """Blocks that its motion may touch."""
         sim.feels_slip = False
+        sim.straying = Straying(cell.chances, sim.arm, sim.number)
+        sim.put_arm(sim.joints)
         if len(cell.arms) > 1:
             sim.step = lambda: cell.clock.tick(sim.number)
 
@@ -53,8 +56,7 @@ class ArmPlant:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         cell, sim = self.cell, self.bench.sim
         cell.take_poses()
-        q, v = (x[sim.parts.joint].copy() for x in (sim.data.qpos, sim.data.qvel))
-        return cell.seen(sim.time, q, v, self.bench.feel())._replace(arm=self.arm.name)
+        return cell.seen(sim.time, *self.measured(), self.bench.feel())._replace(arm=self.arm.name)
 
     def execute(
         self,
@@ -66,7 +68,7 @@ class ArmPlant:
         cell, sim = self.cell, self.bench.sim
         check_motion(self.arm, motion.joints, sim.joints)
         self._begin()
-        self._make_room(motion)
+        self._make_room(motion, bool(commands))
         share = cell.drop_share() if motion.stage == "cross" and self.bench.holding else None
         if share is not None and np.ptp(motion.joints, axis=0).any():
             at, wide = share * motion.seconds, self.arm.gripper.max_width
@@ -102,12 +104,21 @@ class ArmPlant:
         return self.cell.request(request)._replace(joints=self.where())
 
     def stop(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`: it stands between two motions."""
+        """See :class:`~learn2assemble.motion.plant.Plant`: an arm that was left moving brakes."""
+        self.bench.brake()
+        self.cell.take_poses()
+        self.bench.sim.forget()
 
     def close(self) -> None:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
 
     # ------------------------------------------------------------ the simulation
+
+    def measured(self) -> tuple[np.ndarray, np.ndarray]:
+        """Positions [rad] and velocities [rad/s] of the joints, float64[n] each, as their encoders
+        have them."""
+        sim = self.bench.sim
+        return sim.measured(), sim.data.qvel[sim.parts.joint].copy()
 
     def where(self) -> np.ndarray:
         """float64[n]: joints it was told to be at [rad]."""
@@ -127,11 +138,18 @@ class ArmPlant:
             cell.acting = self
             cell.take_poses()
 
-    def _make_room(self, motion: Motion) -> None:
-        """Free what a motion may touch."""
-        if not len(motion.joints) or not np.ptp(motion.joints, axis=0).any():
-            return
+    def _make_room(self, motion: Motion, switched: bool) -> None:
+        """Free what a motion may touch.
+
+        Args:
+            switched: the tool is told something; one that stood there from the beginning may take
+                what it is on.
+        """
         cell, sim, chain = self.cell, self.bench.sim, get_chain(self.arm)
+        if not len(motion.joints) or not (
+            np.ptp(motion.joints, axis=0).any() or (switched and sim.target == NOBODY)
+        ):
+            return
         point, turn = forward(chain, motion.joints[-1])
         held = self.held()
         aim = held or nearest(cell.things, self._comes(motion, point, turn), AIM)

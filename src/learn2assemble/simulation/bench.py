@@ -25,6 +25,8 @@ EASES, EASED = 12, 0.4
 """After a press: how often the drives are told where they are, and on which share of the way."""
 LAST = 20
 """Samples before the end of a motion from which the way is told along which it ends."""
+STILL = 1e-9
+"""An arm that is told to move slower stands [rad/s]."""
 _EVEN = 1e-9
 """Samples at the steps of the simulation are off by less [s]."""
 
@@ -41,6 +43,8 @@ class Bench:
         self.sim, self.skip_free = sim, skip_free
         self._wanted = (sim.width, math.inf)
         """What the tool was told last, and how fast [m/s]."""
+        self._load = (sim.drives.payload, 0.0)
+        """Mass at the tool that it was told last [kg], and how fast that comes to hold [kg/s]."""
         self._force = self.hardest = 0.0
         self._kept: np.ndarray | None = None
         """float64[3]: where the object was in the hand when it was taken hold of [m]."""
@@ -56,7 +60,7 @@ class Bench:
     def feel(self) -> ToolReading:
         """What the tool feels."""
         sim = self.sim
-        x, y, z = sim.contacts.pressure().tolist()
+        x, y, z = sim.contacts.pressure(self.holding).tolist()
         push = x, y, z
         if sim.cup is not None:
             return ToolReading(vacuum=sim.cup.held is not None, force=push)
@@ -97,10 +101,7 @@ class Bench:
             if ended is not None:
                 stop = self._why(ended, guard)
                 sim.let_go()
-                if np.abs(run.velocity[k]).max() > 1e-9:
-                    rest = braked(sim.arm.bounds, *(part[k] for part in run[1:]))
-                    still = np.full(len(rest.position), sim.width)
-                    sim.play(rest, 0, len(still), BLIND, still)
+                self.brake(run.acceleration[k])
                 if guard.bears:
                     self._ease()
                 break
@@ -119,12 +120,26 @@ class Bench:
             sim.played(first),
         )
 
+    def brake(self, acceleration: np.ndarray | None = None) -> None:
+        """Bring the arm to rest from whatever it was told last.
+
+        Args:
+            acceleration: float64[n] that it was told then [rad/s^2]; None: none.
+        """
+        sim = self.sim
+        if np.abs(sim.velocity).max() <= STILL:
+            return
+        a = np.zeros_like(sim.velocity) if acceleration is None else acceleration
+        rest = braked(sim.arm.bounds, sim.joints, sim.velocity, a)
+        still = np.full(len(rest.position), sim.width)
+        sim.play(rest, 0, len(still), BLIND, still)
+
     def _ease(self) -> None:
         """After a press, stay where the arm is: step by step its drives are told the joints that
         they have, until the hand pushes and turns what it holds no more."""
         sim = self.sim
         for _ in range(EASES):
-            there = sim.data.qpos[sim.parts.joint].copy()
+            there = sim.measured()
             sim.drives.push *= 1 - EASED
             told = np.tile(sim.joints + EASED * (there - sim.joints), (BLOCK, 1))
             still = np.zeros((2, BLOCK, len(there)))
@@ -139,6 +154,8 @@ class Bench:
         widths = np.full(count, sim.width)
         loads = np.full(count, sim.drives.payload)
         told = any(command.load is not None for command in commands)
+        told = told or sim.drives.payload != self._load[0]
+        load = sim.drives.payload
         marks = [min(count, round(command.at / TIMESTEP)) for command in commands]
         now = sim.width
         for begin, end, command in zip(
@@ -155,22 +172,15 @@ class Bench:
                 if not command.force:
                     self._kept = None
             if command is not None and command.load is not None:
-                steps = round(LOAD_TIME / TIMESTEP)
-                ramp = np.linspace(
-                    loads[begin - 1] if begin else sim.drives.payload, command.load, steps + 1
-                )[1:]
-                loads[begin:] = command.load
-                loads[begin : begin + steps] = ramp[: max(count - begin, 0)]
+                self._load = command.load, abs(command.load - load) / LOAD_TIME
             wanted, speed = self._wanted
             steps = np.arange(1, end - begin + 1)
-            away = wanted - now
+            loads[begin:end] = _towards(load, *self._load, steps)
             widths[begin:end] = (
-                now + np.sign(away) * np.minimum(abs(away), speed * TIMESTEP * steps)
-                if math.isfinite(speed)
-                else wanted
+                _towards(now, wanted, speed, steps) if math.isfinite(speed) else wanted
             )
             if end > begin:
-                now = float(widths[end - 1])
+                now, load = float(widths[end - 1]), float(loads[end - 1])
         return widths, loads if told else None
 
     def _hold(self, guard: Guard) -> None:
@@ -241,6 +251,13 @@ class Bench:
         way = forward(chain, run.position[-1])[0] - forward(chain, before)[0]
         length = float(np.linalg.norm(way))
         return way / length if length > 1e-6 else None
+
+
+def _towards(now: float, wanted: float, rate: float, steps: np.ndarray) -> np.ndarray:
+    """float64[k]: what changes from ``now`` to ``wanted`` at a rate [1/s], after steps int64[k]."""
+    away = wanted - now
+    near = rate * TIMESTEP * steps
+    return np.where(near < abs(away) - 1e-12, now + np.sign(away) * near, wanted)
 
 
 def sampled(motion: Motion) -> PathSamples:

@@ -136,13 +136,13 @@ class SimulatedContacts:
                     total += share * self.force(k)
         return total
 
-    def pressure(self) -> np.ndarray:
-        """float64[3]: what the target gets from everything but the hand; without a target what the
-        arm gets from everything but itself; world frame [N]."""
+    def pressure(self, held: bool) -> np.ndarray:
+        """float64[3]: what the arm, with the target where that is ``held``, gets from everything
+        else; world frame [N]."""
         total, frame = np.zeros(3), self.data.contact.frame if self.data.ncon else ()
-        mine = (_TARGET,) if (self._class == _TARGET).any() else (_ARM, _PAD)
+        mine = (_ARM, _PAD, _TARGET) if held else (_ARM, _PAD)
         for k, (a, b) in enumerate(self._class[self._pairs()].tolist()):
-            if (a in mine) == (b in mine) or {a, b} & {_ARM, _PAD} - set(mine):
+            if (a in mine) == (b in mine):
                 continue
             mujoco.mj_contactForce(self.world.model, self.data, k, self._wrench)
             # The frame's normal points from the first geom to the second.

@@ -31,6 +31,8 @@ under 1.2 times what friction carries. The weld that stands for the bellows damp
 springs, so that a share of 1 would let it creep."""
 UPRIGHT = (0.0, 0.0, 1.0)
 """The axis of a cup whose frame is that of the tool."""
+AWAKE = -(1 + mujoco.mjMINAWAKE)
+"""State of what is kept awake for the next steps, as the engine counts them."""
 LOOK = 10
 """Steps between two looks whether the lip is closed."""
 
@@ -170,6 +172,9 @@ class Vacuum:
         return self.model.nbody - self.world.num_still - self.world.first
 
     def _let_go(self) -> None:
+        if self.held is not None:
+            # What hung still was about to fall asleep with the hand, and would stay in the air.
+            self.data.tree_asleep[self.world.tree + self.held] = AWAKE
         self.held = None
         self.data.eq_active[self._weld] = 0
 

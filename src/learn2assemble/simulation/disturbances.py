@@ -21,6 +21,7 @@ from learn2assemble.geometry.rotations import (
 )
 from learn2assemble.motion.plant import BlockReading
 from learn2assemble.motion.setup import BlockKind, Noise, Simulated
+from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.bodies import Part, Shape
 
 PERIOD = 0.1
@@ -29,7 +30,9 @@ OUTLIER = (0.02, 0.06)
 """How far an outlier is off [m]."""
 PUSH = 0.015
 """How far a block is pushed [m]."""
-SEEN, PRESENTED, CELL, PUSHED, DROPPED = range(1, 6)
+PERIODS = (2.0, 10.0)
+"""Within which the error of a joint that moves varies once [s]."""
+SEEN, PRESENTED, CELL, PUSHED, DROPPED, JOINTS = range(1, 7)
 """Streams of random numbers."""
 
 
@@ -92,6 +95,35 @@ def stretched(shape: Shape, axis: int, by: float) -> Shape:
         return x, y, z
 
     return tuple(Part(longer(part.centre), longer(part.half)) for part in shape)
+
+
+class Straying:
+    """How the joints of an arm are elsewhere than they are told.
+
+    Args:
+        chances: the numbers.
+        arm: whose joints.
+        number: of the arm in the cell.
+    """
+
+    def __init__(self, chances: Chances, arm: Arm, number: int = 0) -> None:
+        zero, self.moving = chances.disturbance.tracking
+        rng, n = chances.stream(JOINTS, number), len(arm.joints)
+        self.zero = zero * rng.normal(size=n)
+        """float64[n]: what encoders do not see [rad]."""
+        self._rate = 2 * math.pi / rng.uniform(*PERIODS, n)
+        self._phase = rng.uniform(0, 2 * math.pi, n)
+        self._fastest = arm.velocity
+
+    def of(self, time: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """float64[k, n]: by how much joints are elsewhere [rad].
+
+        Args:
+            time: float64[k] of the clock of the cell [s].
+            velocity: float64[k, n] that they are told [rad/s].
+        """
+        wave = np.sin(time[:, None] * self._rate + self._phase)
+        return self.zero + self.moving * velocity / self._fastest * wave
 
 
 class Pictures:

@@ -23,6 +23,7 @@ from learn2assemble.motion.plant import (
 from learn2assemble.motion.setup import Setup
 from learn2assemble.robot.bodies import solids
 from learn2assemble.robot.kinematics import forward, get_chain
+from learn2assemble.simulation.disturbances import Straying
 from learn2assemble.simulation.things import SimulatedCell, bounds, check_motion, nearest
 
 REACH = 0.015
@@ -43,7 +44,7 @@ class KinematicPlant(SimulatedCell):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self.chain = get_chain(setup.arm)
+        self.chain, self.straying = get_chain(setup.arm), Straying(self.chances, setup.arm)
         self.joints = (setup.arm.home if setup.joints is None else setup.joints).copy()
         self.time, self.width, self.force = 0.0, setup.arm.gripper.max_width, 0.0
         self.hand: tuple[str, np.ndarray, np.ndarray] | None = None
@@ -125,13 +126,17 @@ class KinematicPlant(SimulatedCell):
         for name, pose in self._carried(self.joints).items():
             self.things[name].pose = pose
 
+    def _tool(self, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where the tool truly is, float64[3] [m] and [3, 3], where joints were told this."""
+        return forward(self.chain, joints + self.straying.zero)
+
     def _carried(self, joints: np.ndarray) -> dict[str, np.ndarray]:
         """float64[7]: poses of what is in the hand, and of what is joined to it, where the arm is
         at these joints."""
         if self.hand is None:
             return {}
         name, position, rotation = self.hand
-        point, turn = forward(self.chain, joints)
+        point, turn = self._tool(joints)
         before, axes = self.things[name].pose, turn @ rotation
         found = {name: np.array([*(point + turn @ position), *matrix_quaternion(axes)])}
         change = axes @ quaternion_matrix(before[3:]).T
@@ -213,7 +218,7 @@ class KinematicPlant(SimulatedCell):
 
     def _take(self) -> None:
         """Take hold of what is there; it comes to lie against the pads, or the lip."""
-        point, turn = forward(self.chain, self.joints)
+        point, turn = self._tool(self.joints)
         lips = [(np.array([0.0, 1.0, 0.0]), np.zeros(3))]
         if self.arm.suction is not None:
             lips = [(np.array(c.lip.axis), np.array(c.lip.at)) for c in self.arm.suction.cups]

@@ -19,6 +19,9 @@ from learn2assemble.simulation.dynamic_world import DynamicWorld
 from learn2assemble.simulation.kinematic_plant import KinematicPlant
 from learn2assemble.simulation.simulation import NOBODY, Simulation, Trace
 
+STILL = 1e-4
+"""Nothing comes of what is slower than this [m/s], [rad/s]."""
+
 
 def register_plant(table: Registry[Any]) -> None:
     """Add ``sim://`` to the plants."""
@@ -34,6 +37,10 @@ def simulated(setup: Setup) -> Plant:
 class DynamicPlant(DynamicWorld):
     """Arms and blocks, simulated together. As a plant it is its first arm; all of them are
     :attr:`plants`.
+
+    A motion may be told piece by piece, as a controller is told of it cycle by cycle: each begins
+    at the joints and with the velocity with which the one before has ended, and the world goes on
+    in between from where it is. :meth:`stop` brakes an arm that was left moving.
 
     Args:
         setup: as things are meant to be.
@@ -77,6 +84,29 @@ class DynamicPlant(DynamicWorld):
     ) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         return self.plants[0].execute(motion, commands, guards)
+
+    def stop(self) -> None:
+        """See :class:`~learn2assemble.motion.plant.Plant`: an arm that moves brakes as soon as its
+        limits allow."""
+        self.plants[0].stop()
+
+    def held(self) -> str | None:
+        """The block in the hand; for reports of a simulation only."""
+        return self.plants[0].held()
+
+    def measured(self) -> tuple[np.ndarray, np.ndarray]:
+        """See :class:`~learn2assemble.simulation.arm_plant.ArmPlant`."""
+        return self.plants[0].measured()
+
+    @property
+    def time(self) -> float:
+        """Of the clock of the cell [s]."""
+        return self.simulated.time
+
+    def rests(self) -> bool:
+        """Whether nothing moves, so that nothing would change if time passed."""
+        told = any(one.bench.sim.velocity.any() for one in self.plants)
+        return not told and float(np.abs(self.simulated.data.qvel).max()) < STILL
 
     def where(self) -> np.ndarray:
         """See :class:`SimulatedCell`."""

@@ -22,6 +22,7 @@ from learn2assemble.robot.moves import STAGES, Outcome, Trajectory
 from learn2assemble.simulation.clutch import Clutch
 from learn2assemble.simulation.contacts import SimulatedContacts, Watch
 from learn2assemble.simulation.cup import Vacuum
+from learn2assemble.simulation.disturbances import Straying
 from learn2assemble.simulation.drives import Drives
 from learn2assemble.simulation.model import (
     TIMESTEP,
@@ -164,6 +165,8 @@ class Simulation:
         number: int = 0,
     ) -> None:
         self.arm, self.number, self.trace = arm, number, trace
+        self.straying: Straying | None = None
+        """How joints are elsewhere than they are told; None: they are not."""
         self.step: Callable[[], None] = lambda: self.state.step()
         """Lets everything go on by one step; afterwards the arm may share another state."""
         self.stage = "approach"
@@ -244,7 +247,14 @@ class Simulation:
         """The arm is at joints float64[n] [rad], at rest."""
         d, joint = self.data, self.parts.joint
         d.qpos[joint], d.qvel[joint] = joints, 0.0
+        if self.straying is not None:
+            d.qpos[joint] += self.straying.zero
         mujoco.mj_forward(self.model, d)
+
+    def measured(self) -> np.ndarray:
+        """float64[n]: the joints as their encoders have them [rad]."""
+        there = self.data.qpos[self.parts.joint].copy()
+        return there if self.straying is None else there - self.straying.zero
 
     @property
     def opening(self) -> float:
@@ -342,7 +352,7 @@ class Simulation:
             if payloads is not None:
                 self.drives.payload = float(payloads[part][-1])
             rows = self.drives.commands(
-                run.position[part],
+                self._followed(run.position[part], run.velocity[part]),
                 run.velocity[part],
                 run.acceleration[part],
                 np.array(self.width) if widths is None else widths[part],
@@ -362,11 +372,18 @@ class Simulation:
                     return ended, k
         return None, end
 
+    def _followed(self, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """float64[k, n]: where joints go that are told these positions [rad] and velocities."""
+        if self.straying is None:
+            return position
+        time = self.time + TIMESTEP * np.arange(1, len(position) + 1)
+        return position + self.straying.of(time, velocity)
+
     def stand(self) -> None:
         """Tell the drives to hold, for the next step."""
         if self._stands is None or self.steps % BLOCK == 0:
             still = np.zeros((1, len(self.joints)))
-            there = self.joints[None]
+            there = self._followed(self.joints[None], still)
             self._stands = self.drives.commands(there, still, still, np.array(self.width))[0]
         self.data.ctrl[self._own] = self._stands
 
