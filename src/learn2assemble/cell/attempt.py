@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -79,6 +80,8 @@ class Came(NamedTuple):
     """float64[n] where the arm is [rad]."""
     motion: StepMotion | None = None
     """What the drives were told."""
+    yields: bool = False
+    """Nothing was done, because another arm is in the way now."""
 
     @property
     def reached(self) -> bool:
@@ -183,6 +186,8 @@ class Attempts:
         self.job, self.plant, self.sight = job, plant, sight
         self.planner = DynamicCell(job.arm, recover=True) if careful else None
         """Has the models in which ways are planned, and the limits."""
+        self.announce: Callable[[Execution, str], bool] = lambda run, block: True
+        """Called before the arm moves, with the name of the block that it will: whether it may."""
 
     def carry_out(
         self,
@@ -218,6 +223,10 @@ class Attempts:
         guarded = min(CERTAIN + SPREADS * ahead.height, UNCERTAIN)
         rig = Rig(self.plant, senses, arm, world, *limits, guarded=guarded)
         run = senses.run = Execution(rig, order, course, joints)
+        if not self.announce(run, senses.name):
+            return Came(
+                Outcome.UNREACHABLE, "approach", "another arm is in the way", joints, None, True
+            )
         failure = None
         try:
             run.go()

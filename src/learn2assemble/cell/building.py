@@ -108,6 +108,8 @@ class Building:
         self.witness, self.stopped = witness, Stop.END
         """Why the plant ended the build, where it did."""
         self.joints = self._where(arm.home)
+        self.stood = 0.0
+        """So long the arm did nothing before an attempt, where others work meanwhile [s]."""
         self.recording = Recording(self.world, self.joints, words)
         self._resume()
 
@@ -196,6 +198,11 @@ class Building:
             came = self.attempts.carry_out(rows, move, k, self.joints, ahead)
         except PlantError as error:
             lost, came = error, self._interrupted(rows, move, k, error)
+        if came.yields:
+            if presented and action.source is not None:
+                world.used[action.source] -= 1
+                self._take_back(k)
+            return False
         self._come_home(action, rows, came.reached and placing)
         came = came._replace(detail=named(came.detail, rows, world))
         self._record(action, rows, move, came)
@@ -234,7 +241,10 @@ class Building:
         cameras there, or somebody comes near before."""
         if self.seen:
             return None
-        left = (s for s in self.known.order if s.block != k and not self.known.satisfied(s))
+        others = {k} | self.known.elsewhere
+        left = (
+            s for s in self.known.order if s.block not in others and not self.known.satisfied(s)
+        )
         step = next(left, None)
         if step is None or step.remove or step.group or step in self.known.by_hand:
             return None
@@ -500,7 +510,7 @@ class Building:
             target=np.array([*move.target, *turn]),
             outcome=came.outcome,
             detail=came.detail,
-            motion=came.motion,
+            motion=None if came.motion is None else came.motion.after(self.stood, self.joints),
         )
 
     # ------------------------------------------------------------ going on after an interruption

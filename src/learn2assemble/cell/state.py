@@ -32,6 +32,7 @@ OVER = math.radians(45.0)
 BESIDE = 0.012
 """What lies nearer to a place than this is in its way [m]."""
 WAITING = "what it stands on is missing"
+ELSEWHERE = "another arm is about to place it, or in its way"
 
 
 class Action(NamedTuple):
@@ -92,6 +93,10 @@ class Choice:
         """Blocks that the arm cannot place as things are, and why."""
         self.accepted: set[int] = set()
         """Blocks that stay as they are, though not right."""
+        self.elsewhere: set[int] = set()
+        """Blocks that another arm is about to place."""
+        self.postponed: set[int] = set()
+        """Blocks whose way another arm is in."""
         self.done: list[Done] = []
         self.fitting = Fitting(self.world)
         self.comes = {step.block for step in self.order}
@@ -141,13 +146,16 @@ class Choice:
         for step in self.order:
             if self.satisfied(step):
                 continue
+            if step.block in self.elsewhere | self.postponed:
+                blocked[step.block] = ELSEWHERE
+                continue
             if step.remove:
                 if not ready and not blocked:
                     ready.append(step)
                 break
             if self._missing(step, standing):
                 blocked[step.block] = WAITING
-            elif not self.structure.stands(frozenset(standing | {step.block})):
+            elif not self._stands_with(step.block, standing):
                 blocked[step.block] = "it would fall"
             else:
                 ready.append(step)
@@ -181,6 +189,14 @@ class Choice:
         others = f" and {len(blocked) - 1} others" if len(blocked) > 1 else ""
         piece = self.world.pieces[number]
         return f"{piece.id} ({piece.name}){others} cannot be placed: {why}"
+
+    def _stands_with(self, block: int, standing: set[int]) -> bool:
+        """Whether a block may be placed: everything stands then, whether what another arm is about
+        to place is there or not."""
+        with_it = standing | {block}
+        return all(
+            self.structure.stands(frozenset(state)) for state in (with_it, with_it | self.elsewhere)
+        )
 
     def _left(self, block: int, what: str) -> int:
         return 3 * TRIES - self.fails[block, what]

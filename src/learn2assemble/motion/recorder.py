@@ -36,6 +36,27 @@ class StepMotion(NamedTuple):
     """When the object is held [s], and when it is let go."""
     release: float | None = None
 
+    def after(self, seconds: float, there: np.ndarray) -> StepMotion:
+        """The same after the arm has stood for some time [s] at joints float64[n] [rad]."""
+        count = round(seconds * RATE)
+        if not count or not len(self.joints):
+            return self
+        lag = count / RATE
+
+        def held(values: np.ndarray) -> np.ndarray:
+            return np.concatenate([np.repeat(values[:1], count, axis=0), values])
+
+        velocity = np.concatenate([np.zeros((count, self.velocity.shape[1])), self.velocity])
+        return StepMotion(
+            np.concatenate([np.repeat(there[None], count, axis=0), self.joints]),
+            velocity,
+            held(self.width),
+            held(self.command),
+            [Stage(one.name, one.start + lag, one.end + lag) for one in self.stages],
+            None if self.grip is None else self.grip + lag,
+            None if self.release is None else self.release + lag,
+        )
+
 
 class CellShapes(NamedTuple):
     """What cells are where they are no cubes."""

@@ -1,0 +1,385 @@
+"""Two arms build together: each looks, chooses and carries out as it does alone, and tells the
+other one what it is about to place and what came of it.
+
+The block an arm takes next is one whose support stands, whether or not the block that the other arm
+moves is there yet, and on whose way the arms keep their distance (:mod:`.traffic`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from learn2assemble.cell.arrange import Structure, arrange
+from learn2assemble.cell.building import Building, Prepared
+from learn2assemble.cell.carry_out import setup_of
+from learn2assemble.cell.reach import cells_of, set_up
+from learn2assemble.cell.report import words_of
+from learn2assemble.cell.site import Obstacle
+from learn2assemble.cell.state import Action, Done
+from learn2assemble.cell.traffic import ArmInTraffic, Course, Traffic, course_of
+from learn2assemble.cell.workcell import Job, Progress, StepOf, Workcell, job_of
+from learn2assemble.cell.world import rows_of
+from learn2assemble.errors import InputError
+from learn2assemble.motion.plant import PlantError, standing
+from learn2assemble.motion.record import BuildRecord
+from learn2assemble.planning.plan import Plan
+from learn2assemble.robot.arm import Arm, get_arm
+from learn2assemble.robot.inverse import RESTARTS, solve
+from learn2assemble.robot.kinematic import KinematicCell
+from learn2assemble.robot.kinematics import forward, get_chain
+from learn2assemble.simulation.execution import EMPTY, Execution, straight_motion
+from learn2assemble.simulation.model import Failure, lean_table, rigid_objects
+from learn2assemble.simulation.plant import DynamicPlant
+from learn2assemble.simulation.ways import WorldChecker, free_way
+
+BASE = (0.3, 0.3, 0.5)
+"""Size of the box that the base of the other arm is for the ways of blocks [m]."""
+LOOK_AGAIN = 0.1
+"""An arm that has nothing to do looks again after this time [s]."""
+HOMES = (0.25, 0.3, 0.35)
+"""So far in front of its base the tool waits, the preferred one first [m]."""
+AT_HOME = 1e-3
+"""An arm that is so near to its home is there [rad]."""
+PATIENCE, SOON = 600, 20
+"""So often, before it counts as stuck while the other arm is at work, and where that has ended."""
+
+
+class Crew(NamedTuple):
+    """What two arms begin with."""
+
+    found: tuple[Prepared, Prepared]
+    workcells: tuple[Workcell, Workcell]
+
+
+def gather(
+    plan: Plan,
+    workcells: tuple[Workcell, Workcell],
+    joint: float = 1e-4,
+    progress: Progress = lambda text: None,
+) -> Crew:
+    """Two arms with magazines of their own, and for each an order in which it could build alone.
+
+    Args:
+        plan: complete, of dry blocks.
+        workcells: of each arm; where the second one has no base, it stands opposite to the first.
+        joint: width of a vertical joint [m].
+
+    Raises:
+        InputError: for what cannot be held or reached, for bricks that clutch, and for arms whose
+            bases are on one spot.
+    """
+    jobs: list[Job] = []
+    structure: Structure | None = None
+    for workcell in workcells:
+        site = workcell.site
+        if jobs and site.base is None:
+            site = replace(site, base=opposite(jobs[0].arm))
+        if jobs and site.base is not None:
+            apart = float(np.linalg.norm(jobs[0].base - site.base[:2]))
+            if apart < BASE[0]:
+                got = f"bases {apart:.2f} m from each other"
+                raise InputError("arms", got, f"{BASE[0]:g} m or more")
+        around = tuple(box for job in jobs for box in occupied(job))
+        site = replace(site, obstacles=(*site.obstacles, *around))
+        job = set_up(
+            job_of(plan, workcell.arm, joint, workcell.hands), workcell.arm, workcell.tool, site
+        )
+        jobs.append(replace(job, arm=back(job)))
+    first, second = jobs
+    if first.assembly.holds:
+        raise InputError("arms", 2, "one arm, where bricks clutch")
+    first = replace(first, obstacles=(*first.obstacles, *occupied(second)))
+    structure = Structure(first)
+    found = []
+    for number, job in enumerate((first, second)):
+        cell = KinematicCell(job.arm, cells_of(job))
+        order = arrange(job, structure, cell, progress)
+        order = replace(order, steps=shared_out(job, structure, order.steps, number))
+        found.append(Prepared(job, structure, order, cell))
+    reached = {step for one in found for step in one.order.steps}
+    left = [step for step in first.steps if step not in reached]
+    if left:
+        piece = first.pieces[left[0].block]
+        why = next(one.order.stuck.get(left[0].block, "") for one in found)
+        raise InputError("arms", f"{piece.id}, which neither can place: {why}", "all within reach")
+    return Crew((found[0], found[1]), workcells)
+
+
+def opposite(arm: Arm) -> tuple[float, float, float, float]:
+    """The base on the other side of the site, facing it."""
+    x, y, z = arm.base_position.tolist()
+    facing = float(arm.base_yaw - get_arm(arm.name).base_yaw) + math.pi
+    return -x, -y, z, math.remainder(facing, 2 * math.pi)
+
+
+def back(job: Job) -> Arm:
+    """The arm with a home that leaves the site to the other one: above its own edge of it."""
+    arm, chain = job.arm, get_chain(job.arm)
+    rotation, top = forward(chain, arm.home)[1], max(piece.top for piece in job.pieces)
+    way = -job.base / max(float(np.linalg.norm(job.base)), 1e-9)
+    for radius, above in itertools.product(HOMES, (0.25, 0.15)):
+        point = np.array([*(job.base + radius * way), max(top + above, 0.35)])
+        found = solve(arm, point, rotation, arm.home, restarts=RESTARTS)
+        if found.ok:
+            home = found.joints.copy()
+            home.flags.writeable = False
+            return replace(arm, home=home)
+    return arm
+
+
+def occupied(job: Job) -> list[Obstacle]:
+    """What the other arm must not touch of one: where it stands, and where its blocks wait."""
+    x, y = job.base.tolist()
+    found = [Obstacle((x, y), BASE, float(job.arm.base_yaw), 0.0, "the other arm")]
+    for source in job.sources:
+        a, b, c, d = source.area.bounds
+        tall = max(
+            float(piece.corners(piece.waiting(source.pose))[:, 2].max())
+            for piece in job.pieces
+            if source.presents(piece)
+        )
+        size = (c - a, d - b, tall)
+        found.append(Obstacle(((a + c) / 2, (b + d) / 2), size, 0.0, 0.0, "the other arm's supply"))
+    return found
+
+
+def shared_out(
+    job: Job, structure: Structure, steps: Sequence[StepOf], number: int
+) -> tuple[StepOf, ...]:
+    """The steps as an arm prefers them: level by level from its end of the structure, so that the
+    other arm, which begins at the other end, is far away; as they are where blocks lean or are
+    taken away."""
+    if structure.leans or any(step.remove for step in steps):
+        return tuple(steps)
+    where = np.array([piece.target for piece in job.pieces])
+    # Across the line between the arms they are in each other's way least.
+    along = np.array([-job.base[1], job.base[0]])
+    along = along / max(float(np.linalg.norm(along)), 1e-9)
+    if along[np.argmax(np.abs(along))] < 0:
+        along = -along
+    way = -1.0 if number else 1.0
+
+    def key(step: StepOf) -> tuple[float, float]:
+        level = round(float(job.pieces[step.block].extent[0][2]), 4)
+        return level, round(way * float(where[step.block, :2] @ along), 6)
+
+    return tuple(sorted(steps, key=key))
+
+
+@dataclass
+class Turn:
+    """An attempt in the time line of a build by two arms."""
+
+    arm: int
+    done: Done
+    begin: float
+    """[s]"""
+    end: float
+    """[s]"""
+
+
+class Together:
+    """A build by two arms.
+
+    Args:
+        crew: of :func:`gather`.
+        watched: what simulates the cell.
+    """
+
+    def __init__(self, crew: Crew, watched: type[DynamicPlant] = DynamicPlant) -> None:
+        first, second = (one.job.arm for one in crew.found)
+        site = crew.workcells[0].site
+        own = replace(crew.found[0].job, obstacles=(*site.obstacles, *site.kept_out))
+        setup = setup_of(own, crew.workcells[0])._replace(others=(second,))
+        self.plant, self.traffic = watched(setup), Traffic((first, second))
+        self.arms = tuple(
+            ArmInTraffic(self.plant.plants[who], self.traffic, who) for who in range(2)
+        )
+        self.buildings = tuple(
+            Building(one, workcell, arm, words_of(one.job, workcell))
+            for one, workcell, arm in zip(crew.found, crew.workcells, self.arms, strict=True)
+        )
+        for who, building in enumerate(self.buildings):
+            building.attempts.announce = self._announcer(who)
+        self.begun = 0.0
+        """When [s of the plant's clock]."""
+        self.turns: list[Turn] = []
+        self.tried: tuple[dict[int, Course], dict[int, Course]] = ({}, {})
+        """What each arm would have announced for blocks whose way the other one was in."""
+        self.moves = [0, 0]
+        """The piece that each arm moves, or was the last to."""
+        self.lost: set[int] = set()
+        """Blocks that an arm moved when its plant ended that."""
+        self.working = [True, True]
+        self.reasons: list[str | None] = [None, None]
+
+    @property
+    def seconds(self) -> float:
+        """Of the arms, from the beginning until the last block was placed [s]."""
+        return max((turn.end for turn in self.turns), default=self.begun) - self.begun
+
+    @property
+    def records(self) -> tuple[BuildRecord, ...]:
+        """What each arm did, on the clock of both."""
+        return tuple(building.recording.record() for building in self.buildings)
+
+    @property
+    def complete(self) -> bool:
+        """Whether everything stands."""
+        known = [building.known for building in self.buildings]
+        return all(one.satisfied(step) for one in known for step in one.order)
+
+    def run(self, progress: Progress = lambda text: None) -> str | None:
+        """Until everything is done; why not, in words, where it cannot be."""
+        self.begun = self.plant.sense().time
+        self.plant.clock.run([lambda who=who: self._work(who, progress) for who in range(2)])
+        if self.complete:
+            return None
+        return next((why for why in self.reasons if why), "neither arm can go on")
+
+    # ------------------------------------------------------------ one arm
+
+    def _work(self, who: int, progress: Progress) -> None:
+        """What one arm does, attempt by attempt."""
+        course = None
+        try:
+            self.reasons[who] = self._attempts(who, progress)
+        except PlantError as error:
+            self.reasons[who], course = str(error), self.traffic.lanes[who].course
+            self.traffic.stopped(who)
+        finally:
+            self.working[who] = False
+        if course is not None:
+            # Whatever became of it, nobody else is to place it.
+            self.lost.add(self.moves[who])
+
+    def _attempts(self, who: int, progress: Progress) -> str | None:
+        building, known = self.buildings[who], self.buildings[who].known
+        building._look()
+        most, idle = 2 * len(known.order) + 20, 0
+        while len(known.done) < most:
+            known.elsewhere = self._elsewhere(who)
+            action = known.choose()
+            if action is None:
+                return None
+            if isinstance(action, Action):
+                if self._act(who, action, progress):
+                    idle = 0
+                    continue
+                if action.block in known.postponed or action.block in known.refused:
+                    continue
+            # Perhaps what the other arm does changes that.
+            why = action if isinstance(action, str) else "no attempt could begin"
+            if idle > (PATIENCE if self.working[1 - who] else SOON):
+                return why
+            idle += 1
+            if self.traffic.lanes[who].asked:
+                self._go_home(who)
+            self._wait(who)
+            tried = self.tried[who]
+            known.postponed = {k for k in tried if not self.traffic.fits(who, tried[k])}
+        return f"given up after {most} attempts"
+
+    def _act(self, who: int, action: Action, progress: Progress) -> bool:
+        """One attempt; False where it did not begin."""
+        building, world = self.buildings[who], self.buildings[who].world
+        before, begin = list(world.state), building.plant.sense().time
+        # The record of an arm is on the clock of both: before the attempt it stood.
+        now = building.recording.recorder.now if building.recording.recorder.steps else 0.0
+        building.stood = max(begin - self.begun - now, 0.0)
+        acted = building.act(action)
+        self.traffic.over(who)
+        if not acted:
+            return False
+        last, end = building.known.done[-1], building.plant.sense().time
+        self.turns.append(Turn(who, last, begin, end))
+        self._changed(who)
+        self._tell(who, {k for k, state in enumerate(before) if world.state[k] != state})
+        left = sum(not building.known.satisfied(step) for step in building.known.order)
+        progress(
+            f"arm {who + 1}, {end:.1f} s: {last.what} {world.pieces[action.block].id}: "
+            f"{last.outcome}{': ' + last.detail if last.detail else ''}, {left} steps left"
+        )
+        return True
+
+    def _go_home(self, who: int) -> None:
+        """Out of the way of the other arm, where there is a free way."""
+        building, lane = self.buildings[who], self.traffic.lanes[who]
+        lane.asked, arm = False, building.job.arm
+        self._changed(who)
+        waits = next((s.block for s in building.known.order if not building.known.satisfied(s)), 0)
+        attempts, scene = (
+            building.attempts,
+            rows_of(building.world, building.world.pose, waits).scene,
+        )
+        if attempts.planner is None or np.abs(building.joints - arm.home).max() < AT_HOME:
+            return
+        objects, poses, names = rigid_objects(scene)
+        world = attempts.planner.world(objects)
+        lean_table(world.plan, scene.table)
+        checker = WorldChecker(arm, world, poses, names)
+        try:
+            for leg in itertools.pairwise(free_way(checker, building.joints, arm.home, "home")):
+                told = straight_motion(np.array(leg), attempts.planner.limits, "home")
+                building.joints = building.plant.execute(told, (), (EMPTY,)).joints
+        except Failure:
+            return  # It stands where it is, and the other one finds another block.
+
+    def _wait(self, who: int) -> None:
+        """Stand for a while."""
+        building = self.buildings[who]
+        building.plant.execute(standing("home", building.joints, LOOK_AGAIN))
+
+    def _elsewhere(self, who: int) -> set[int]:
+        """The block that the other arm moves, and what an arm that was stopped has left."""
+        if self.traffic.other(who).course is None:
+            return self.lost
+        return self.lost | {self.moves[1 - who]}
+
+    def _announcer(self, who: int) -> Callable[[Execution, str], bool]:
+        """What an arm says before it moves, see :attr:`~.attempt.Attempts.announce`."""
+
+        def announce(run: Execution, block: str) -> bool:
+            building, course = self.buildings[who], course_of(run, block)
+            k = building.world.names.index(block)
+            if self.traffic.announce(who, course):
+                self.moves[who] = k
+                return True
+            building.known.postponed.add(k)
+            self.tried[who][k] = course
+            other = self.traffic.other(who)
+            if other.course is None:
+                other.asked = True
+            return False
+
+        return announce
+
+    def _tell(self, who: int, changed: set[int]) -> None:
+        """Tell the other arm what came of an attempt."""
+        mine, other = self.buildings[who], self.buildings[1 - who]
+        while len(other.world.pieces) < len(mine.world.pieces):
+            other.recording.replace(mine.recording.like[len(other.recording.like)])
+            other.names.add(mine.world.names[-1])
+        for k in changed:
+            other.world.state[k] = mine.world.state[k]
+            other.world.pose[k], other.world.spread[k] = mine.world.pose[k], mine.world.spread[k]
+            name = mine.world.names[k]
+            if name in mine.sight.belief.known:
+                other.sight.belief.known[name] = mine.sight.belief.known[name]
+            fails = other.known.fails
+            other.known.fails = Counter({key: n for key, n in fails.items() if key[0] != k})
+        other.known.refused.clear()
+        self._changed(1 - who)
+        other.recording.sync()
+
+    def _changed(self, who: int) -> None:
+        """What an arm has tried before it may try again, as things are otherwise now."""
+        self.tried[who].clear()
+        self.buildings[who].known.postponed.clear()

@@ -1,0 +1,323 @@
+"""Two arms that share a site: who may move now, so that they keep their distance and neither waits
+for the other for ever.
+
+An attempt is announced as *legs*, each with the space it sweeps. While an arm is on a leg, all of
+what that sweeps is its own, wherever on it the arm is: what the other arm may do does not depend on
+when something happens, and an arm that is stopped leaves the other one safe. An arm may begin a leg
+if that is clear of what the other arm is on, and if both can come to the end of what they announced
+afterwards, one leg at a time. That is so before every leg, so one of the two can always go on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from learn2assemble.motion.plant import (
+    Guard,
+    Motion,
+    Plant,
+    Played,
+    Readings,
+    Report,
+    Request,
+    Stop,
+    ToolCommand,
+    standing,
+)
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.capsules import Capsules, capsules_of, in_hand, solid_capsules
+from learn2assemble.robot.moves import Outcome
+from learn2assemble.robot.sweeps import Sweep, clear, still, sweep
+from learn2assemble.simulation.execution import Execution
+from learn2assemble.simulation.model import Failure, part_of
+
+APART, PLANNED = 0.015, 0.02
+"""So far the arms keep from each other as they are told to move, which they stray from by 2.4 mm
+each at most, and as their ways are planned [m]."""
+PAUSE = 0.04
+"""Between two looks whether the way is free [s]."""
+EVERY = 5
+"""Of the samples of a motion so many are taken together: the arm is within half a millimetre of the
+straight line between two that are left."""
+IN_THE_WAY = "the other arm is in the way"
+
+
+class Leg(NamedTuple):
+    """A part of what was announced."""
+
+    stage: str
+    swept: Sweep
+
+
+class Course(NamedTuple):
+    """What an arm announces."""
+
+    block: str
+    """Name of the block that it moves."""
+    held: Capsules
+    """Of it, in the hand."""
+    legs: tuple[Leg, ...]
+    goal: Sweep
+    """The block in its place."""
+
+
+@dataclass
+class Lane:
+    """What is known of one arm."""
+
+    arm: Arm
+    here: Sweep
+    """Where it stands, or the leg it is on."""
+    course: Course | None = None
+    ahead: tuple[Leg, ...] = ()
+    """What is left of its course."""
+    stage: str = ""
+    """Of the leg it is on, or was."""
+    on_course: bool = True
+    """Whether it does as it has announced; after a failure it does not."""
+    holding: bool = False
+    asked: bool = False
+    """Whether the other arm could not set out because this one stands there with nothing to do."""
+    refused: int = -1
+    """Count of changes at which it was told to wait."""
+    capsules: Capsules = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.capsules = capsules_of(self.arm)
+
+    def swept(self, joints: np.ndarray) -> Sweep:
+        """The space it takes up on straight connections of joints float64[k, n] [rad], with what it
+        holds."""
+        held = self.course.held if self.holding and self.course is not None else None
+        capsules = self.capsules if held is None else self.capsules.add(held)
+        return sweep(self.arm, capsules, joints)
+
+
+class Traffic:
+    """Which of two arms may move.
+
+    Args:
+        arms: both, at home.
+    """
+
+    def __init__(self, arms: tuple[Arm, Arm]) -> None:
+        self.lanes = tuple(Lane(arm, sweep(arm, capsules_of(arm), arm.home[None])) for arm in arms)
+        self.changes = 0
+        """How often something changed for either."""
+        self._known: dict[tuple[int, int, float], tuple[bool, Sweep, Sweep]] = {}
+
+    def other(self, who: int) -> Lane:
+        """The other arm."""
+        return self.lanes[1 - who]
+
+    # ------------------------------------------------------------ announcing
+
+    def fits(self, who: int, course: Course) -> bool:
+        """Whether an arm that stands may set out on a course."""
+        lane, other = self.lanes[who], self.other(who)
+        if other.course is not None:
+            legs = (other.here, *(leg.swept for leg in other.ahead))
+            if not all(self._clear(one, course.goal, PLANNED) for one in legs):
+                return False
+            if not all(self._clear(leg.swept, other.course.goal, PLANNED) for leg in course.legs):
+                return False
+        return self._complete(lane.here.end, course.legs, other.here.end, other.ahead)
+
+    def announce(self, who: int, course: Course) -> bool:
+        """As :meth:`fits`; if so, the course is known from now on."""
+        if not self.fits(who, course):
+            return False
+        lane = self.lanes[who]
+        lane.course, lane.ahead, lane.on_course, lane.stage = course, course.legs, True, ""
+        self.changes += 1
+        return True
+
+    def over(self, who: int) -> None:
+        """What an arm announced is over."""
+        lane = self.lanes[who]
+        lane.course, lane.ahead, lane.on_course, lane.holding = None, (), True, False
+        self.changes += 1
+
+    def stopped(self, who: int) -> None:
+        """An arm does not move any more; it is somewhere on the leg it was on, with what it
+        holds."""
+        lane = self.lanes[who]
+        lane.course, lane.ahead, lane.on_course = None, (), False
+        self.changes += 1
+
+    # ------------------------------------------------------------ moving
+
+    def enter(self, who: int, motion: Motion) -> bool:
+        """Whether a motion may begin; if so, what it sweeps belongs to the arm until it
+        :meth:`stands`."""
+        lane, other = self.lanes[who], self.other(who)
+        if lane.refused == self.changes:
+            return False
+        swept = lane.swept(np.vstack([motion.joints[:-1:EVERY], motion.joints[-1:]]))
+        ahead, on_course = lane.ahead, lane.on_course
+        stages = [leg.stage for leg in ahead]
+        if motion.stage in stages:
+            ahead = ahead[stages.index(motion.stage) + 1 :]
+        elif motion.stage != lane.stage:
+            ahead, on_course = (), False
+        free = clear(swept, other.here, APART)
+        if free and on_course:
+            free = self._complete(swept.end, ahead, other.here.end, other.ahead)
+        if not free:
+            lane.refused = self.changes
+            return False
+        lane.here, lane.ahead, lane.on_course, lane.stage = swept, ahead, on_course, motion.stage
+        self.changes += 1
+        return True
+
+    def stands(self, who: int, joints: np.ndarray, holding: bool) -> None:
+        """An arm stands at joints float64[n] [rad]."""
+        lane = self.lanes[who]
+        lane.holding = holding
+        lane.here = lane.swept(joints[None])
+        self.changes += 1
+
+    def stuck(self, who: int) -> bool:
+        """Whether an arm that was told to wait would wait for ever; of two that wait for each other
+        the one that is on its course gives way."""
+        lane, other = self.lanes[who], self.other(who)
+        if lane.refused != self.changes:
+            return False
+        if other.course is None:
+            return True
+        return other.refused == self.changes and (lane.on_course or not other.on_course)
+
+    # ------------------------------------------------------------ what follows
+
+    def _complete(
+        self, here: Sweep, legs: Sequence[Leg], there: Sweep, others: Sequence[Leg]
+    ) -> bool:
+        """Whether two arms that stand can do all that is ahead of them, one leg at a time in some
+        order."""
+        mine = [here, *(leg.swept.end for leg in legs)]
+        theirs = [there, *(leg.swept.end for leg in others)]
+        reached = np.zeros((len(mine), len(theirs)), bool)
+        reached[0, 0] = True
+        for i in range(len(mine)):
+            for j in range(len(theirs)):
+                if i and reached[i - 1, j]:
+                    reached[i, j] |= self._clear(legs[i - 1].swept, theirs[j], PLANNED)
+                if j and reached[i, j - 1] and not reached[i, j]:
+                    reached[i, j] = self._clear(others[j - 1].swept, mine[i], PLANNED)
+        return bool(reached[-1, -1])
+
+    def _clear(self, one: Sweep, other: Sweep, margin: float) -> bool:
+        """As :func:`~learn2assemble.robot.sweeps.clear`, remembered."""
+        key = id(one.lines), id(other.lines), margin
+        if key not in self._known:
+            if len(self._known) > 5000:
+                self._known.clear()
+            # Both are kept, so that their addresses stay theirs.
+            self._known[key] = clear(one, other, margin), one, other
+        return self._known[key][0]
+
+
+class ArmInTraffic:
+    """A plant that moves when it may.
+
+    Args:
+        plant: of the arm.
+        traffic: who may.
+        who: number of the arm.
+    """
+
+    def __init__(self, plant: Plant, traffic: Traffic, who: int) -> None:
+        self.plant, self.traffic, self.who = plant, traffic, who
+        self.waited = 0.0
+        """For the other arm, all in all [s]."""
+
+    def sense(self) -> Readings:
+        """What is sensed, but what the other arm moves."""
+        found, course = self.plant.sense(), self.traffic.other(self.who).course
+        if course is None:
+            return found
+        return found._replace(blocks=tuple(b for b in found.blocks if b.block != course.block))
+
+    def execute(
+        self,
+        motion: Motion,
+        commands: Sequence[ToolCommand] = (),
+        guards: Sequence[Guard] = (),
+    ) -> Report:
+        """See :class:`~learn2assemble.motion.plant.Plant`; the arm stands until it may move.
+
+        Raises:
+            Failure: where it would wait for ever.
+        """
+        lane, moves = self.traffic.lanes[self.who], bool(len(motion.joints))
+        moves = moves and bool(np.ptp(motion.joints, axis=0).any())
+        kept = (Guard(hold="kept"),) if any(one.hold == "kept" for one in guards) else ()
+        waited: list[Report] = []
+        while moves and not self.traffic.enter(self.who, motion):
+            if self.traffic.stuck(self.who):
+                raise Failure(Outcome.UNREACHABLE, motion.stage, IN_THE_WAY)
+            report = self.plant.execute(standing(motion.stage, motion.joints[0], PAUSE), (), kept)
+            waited.append(report)
+            self.waited += report.seconds
+            if report.stop != Stop.END:
+                return _joined(waited, done=0.0)
+        report = self.plant.execute(motion, commands, guards)
+        holding = lane.holding or report.stop == Stop.HELD
+        for told in commands:
+            if told.vacuum is False or (told.width is not None and not told.force):
+                holding = False
+        if moves or holding != lane.holding:
+            self.traffic.stands(self.who, report.joints, holding)
+        return _joined([*waited, report], done=report.done)
+
+    def request(self, request: Request) -> Report:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        return self.plant.request(request)
+
+    def stop(self) -> None:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        self.plant.stop()
+
+    def close(self) -> None:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        self.plant.close()
+
+
+def _joined(reports: Sequence[Report], done: float) -> Report:
+    """What came of motions one after the other, as if they were one."""
+    last, played = reports[-1], [one.played for one in reports if one.played is not None]
+    whole = last.played
+    if len(played) > 1:
+        whole = Played(*(np.concatenate(parts) for parts in zip(*played, strict=True)))
+    seconds = sum(one.seconds for one in reports)
+    return last._replace(done=done, seconds=seconds, played=whole)
+
+
+def course_of(run: Execution, block: str) -> Course:
+    """What an attempt that is about to begin announces.
+
+    Args:
+        run: the attempt.
+        block: name of what it moves.
+    """
+    arm, order, plan = run.rig.arm, run.order, run.course.plan
+    own, objects = capsules_of(arm), order.objects.shape[order.target]
+    parts = [part_of(box) for box in objects]
+    held = in_hand(arm, solid_capsules(parts, *order.in_hand(plan.move.grasp)))
+    both = own.add(held)
+    goal = still(solid_capsules(parts, *order.in_world(plan.move.grasp, plan.move.place)))
+    empty = [("approach", way) for way in pairwise(run.course.there)]
+    legs = [Leg(stage, sweep(arm, own, np.array(way))) for stage, way in empty]
+    pick, place, leave = (one.joints for one in (plan.pick, plan.place, plan.leave))
+    legs.append(Leg("pick", sweep(arm, own, pick[::-1])))
+    legs.append(Leg("lift", sweep(arm, both, pick)))
+    legs += [Leg("cross", sweep(arm, both, np.array(way))) for way in pairwise(run.course.across)]
+    legs.append(Leg("place", sweep(arm, both, place[::-1])))
+    legs.append(Leg("retreat", sweep(arm, own, leave)))
+    legs += [Leg("home", sweep(arm, own, np.array(way))) for way in pairwise(run.course.home)]
+    return Course(block, held, tuple(legs), goal)
