@@ -97,10 +97,10 @@ def test_a_corner_is_passed_on_the_side_that_is_free() -> None:
     goal = Fitting(world).goal(0, {1, 2, 3}, set()) - world.target(0)
     assert_allclose(goal[:2], [-(2e-4 - JOINT / 2), 0.0], atol=2e-6)
     # It may stand in the way on one side, as far as it is out of it on the other.
-    world.pose[3, :2] = world.target(3)[:2] + [-2e-4, -3e-4]
+    world.pose[3, :2] = world.target(3)[:2] - np.array([2e-4, 3e-4])
     assert_allclose(Fitting(world).goal(0, {1, 2, 3}, set()), world.target(0), atol=1e-9)
     # Without the one behind, the shorter way is along the row.
-    world.pose[3, :2] = world.target(3)[:2] + [-4e-4, 2e-4]
+    world.pose[3, :2] = world.target(3)[:2] - np.array([4e-4, -2e-4])
     goal = Fitting(world).goal(0, {2, 3}, set()) - world.target(0)
     assert_allclose(goal[:2], [0.0, 2e-4 - JOINT / 2], atol=2e-6)
 

@@ -11,9 +11,9 @@ import pytest
 
 from l2a_lab.shapes import wall
 from learn2assemble.assembly.kit import load_kit
-from learn2assemble.cell.together import Crew, Together, gather, opposite
 from learn2assemble.cell.site import Site
-from learn2assemble.cell.traffic import APART, ArmInTraffic, Course, Leg, Traffic
+from learn2assemble.cell.together import Pair, Together, gather, opposite
+from learn2assemble.cell.traffic import APART, ArmInTraffic, Leg, Route, Traffic
 from learn2assemble.cell.workcell import Workcell
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
@@ -41,7 +41,7 @@ def motion(stage: str, start: np.ndarray, end: np.ndarray) -> Motion:
     return Motion(stage, np.linspace(0, 1, 9), joints, np.zeros_like(joints))
 
 
-def course(arm: Arm, corners: list[np.ndarray]) -> Course:
+def course(arm: Arm, corners: list[np.ndarray]) -> Route:
     """From home through some corners and back, a leg each."""
     stops = [arm.home, *corners, arm.home]
     legs = tuple(
@@ -49,7 +49,7 @@ def course(arm: Arm, corners: list[np.ndarray]) -> Course:
         for k in range(len(stops) - 1)
     )
     held = in_hand(arm, solid_capsules(BRICK, np.array([0.0, 0.0, 0.02]), np.eye(3)))
-    return Course("a", held, legs, AWAY)
+    return Route("a", held, legs, AWAY)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -180,11 +180,11 @@ def design(x: int, y: int, z: int) -> Plan:
 
 
 @pytest.fixture(scope="module")
-def crew() -> Crew:
+def crew() -> Pair:
     return gather(design(10, 2, 3), (Workcell("ur5e"), Workcell("panda")), KIT.joint_gap)
 
 
-def test_two_arms_build_together(crew: Crew) -> None:
+def test_two_arms_build_together(crew: Pair) -> None:
     both = Together(crew, watched=Watched)
     told: list[str] = []
     assert both.run(told.append) is None
@@ -206,7 +206,7 @@ def test_two_arms_build_together(crew: Crew) -> None:
         assert record.spans()[-1][1] <= both.seconds + 0.1
 
 
-def test_an_arm_that_is_stopped_leaves_the_other_one_safe(crew: Crew) -> None:
+def test_an_arm_that_is_stopped_leaves_the_other_one_safe(crew: Pair) -> None:
     """The first arm stops on its way across: it stands there, with what it holds, and the other one
     keeps its distance and does not place that block."""
     both = Together(crew, watched=Watched)

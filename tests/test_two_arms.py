@@ -17,7 +17,7 @@ from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.studs import Studs
-from learn2assemble.simulation.clock import Clock
+from learn2assemble.simulation.clock import SharedClock
 from learn2assemble.simulation.plant import DynamicPlant
 
 LEFT = get_arm("panda", "suction", (-0.55, 0.0, 0.0, 0.0))
@@ -172,7 +172,7 @@ def test_bricks_that_clutch_take_one_arm() -> None:
 
 def test_time_goes_on_when_all_that_move_wait() -> None:
     happened: list[Any] = []
-    clock = Clock(lambda moving: happened.append(sorted(moving)))
+    clock = SharedClock(lambda moving: happened.append(sorted(moving)))
 
     def job(who: int, ticks: int) -> Callable[[], int]:
         def run() -> int:
@@ -195,7 +195,7 @@ def test_time_goes_on_when_all_that_move_wait() -> None:
 
 def test_an_error_of_one_ends_that_one_alone() -> None:
     steps: list[int] = []
-    clock = Clock(lambda moving: steps.append(len(moving)))
+    clock = SharedClock(lambda moving: steps.append(len(moving)))
 
     def fails() -> None:
         clock.tick(0)
@@ -214,6 +214,6 @@ def test_an_error_of_the_world_reaches_everybody() -> None:
     def broken(moving: frozenset[int]) -> None:
         raise ArithmeticError("diverged")
 
-    clock = Clock(broken)
+    clock = SharedClock(broken)
     with pytest.raises(ArithmeticError):
         clock.run([lambda: clock.tick(0), lambda: clock.tick(1)])

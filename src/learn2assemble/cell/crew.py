@@ -31,7 +31,7 @@ from learn2assemble.cell.world import (
     rows_of,
 )
 from learn2assemble.geometry.rotations import quaternion_matrix
-from learn2assemble.planning.crew import Grip
+from learn2assemble.planning.crew import Bringing
 from learn2assemble.robot.grasps import FIRST
 from learn2assemble.robot.hand import hand_limits
 from learn2assemble.robot.kinematic import KinematicCell
@@ -107,7 +107,7 @@ class ArmCrew:
 
     # ------------------------------------------------------------ a crew
 
-    def grips(self, block: int, state: State) -> Iterator[Grip]:
+    def grips(self, block: int, state: State) -> Iterator[Bringing]:
         busy = {hand.name: hand for hand in state.hands.values()}
         for number in self._nearest(block, state):
             member = self.members[number]
@@ -116,9 +116,9 @@ class ArmCrew:
             for found in self._reached(number, block, state):
                 if self._clear(found, block, state):
                     self._holding[found.hand.key] = found
-                    yield Grip(member.name, found.hand)
+                    yield Bringing(member.name, found.hand)
 
-    def takes(self, block: int, state: State) -> Iterator[Grip]:
+    def takes(self, block: int, state: State) -> Iterator[Bringing]:
         return self.grips(block, state.change(remove=[block]))
 
     def _nearest(self, block: int, state: State) -> list[int]:

@@ -251,7 +251,7 @@ class Fitting:
             shift: float64[3] by which it is moved anyway [m].
         """
         world, later, row = self.world, self.world.placing, [k]
-        joints, corners = list[_Joint](), list[list[_Joint]]()
+        joints, corners = list[_Opening](), list[list[_Opening]]()
         for number, one in enumerate(row):  # It grows on the way.
             for near, *others in self.near(one):
                 other, level = near.other, abs(float(near.way[2])) < LEANING
@@ -262,7 +262,7 @@ class Fitting:
                 )
                 if other in standing:
                     sides = [
-                        _Joint(number, -1, side.way, self.width(side), size)
+                        _Opening(number, -1, side.way, self.width(side), size)
                         for side in (near, *others)
                     ]
                     joints += [] if others else sides
@@ -271,7 +271,7 @@ class Fitting:
                     if other not in row:
                         row.append(other)
                     if number < row.index(other):
-                        joints.append(_Joint(number, row.index(other), near.way, near.gap, size))
+                        joints.append(_Opening(number, row.index(other), near.way, near.gap, size))
         told = [one.told(len(row), world.job.joint / 2, shift) for one in joints]
         sides = [
             [one.told(len(row), world.job.joint / 2, shift) for one in corner] for corner in corners
@@ -279,7 +279,7 @@ class Fitting:
         return _passing(3 * len(row), told, sides)[:3]
 
 
-class _Joint(NamedTuple):
+class _Opening(NamedTuple):
     """What has to stay open when the blocks of a row are moved."""
 
     number: int

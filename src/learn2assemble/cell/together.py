@@ -23,7 +23,7 @@ from learn2assemble.cell.reach import cells_of, set_up
 from learn2assemble.cell.report import words_of
 from learn2assemble.cell.site import Obstacle
 from learn2assemble.cell.state import Action, Done
-from learn2assemble.cell.traffic import ArmInTraffic, Course, Traffic, course_of
+from learn2assemble.cell.traffic import ArmInTraffic, Route, Traffic, route_of
 from learn2assemble.cell.workcell import Job, Progress, StepOf, Workcell, job_of
 from learn2assemble.cell.world import rows_of
 from learn2assemble.errors import InputError
@@ -51,7 +51,7 @@ PATIENCE, SOON = 600, 20
 """So often, before it counts as stuck while the other arm is at work, and where that has ended."""
 
 
-class Crew(NamedTuple):
+class Pair(NamedTuple):
     """What two arms begin with."""
 
     found: tuple[Prepared, Prepared]
@@ -63,7 +63,7 @@ def gather(
     workcells: tuple[Workcell, Workcell],
     joint: float = 1e-4,
     progress: Progress = lambda text: None,
-) -> Crew:
+) -> Pair:
     """Two arms with magazines of their own, and for each an order in which it could build alone.
 
     Args:
@@ -109,7 +109,7 @@ def gather(
         piece = first.pieces[left[0].block]
         why = next(one.order.stuck.get(left[0].block, "") for one in found)
         raise InputError("arms", f"{piece.id}, which neither can place: {why}", "all within reach")
-    return Crew((found[0], found[1]), workcells)
+    return Pair((found[0], found[1]), workcells)
 
 
 def opposite(arm: Arm) -> tuple[float, float, float, float]:
@@ -193,7 +193,7 @@ class Together:
         watched: what simulates the cell.
     """
 
-    def __init__(self, crew: Crew, watched: type[DynamicPlant] = DynamicPlant) -> None:
+    def __init__(self, crew: Pair, watched: type[DynamicPlant] = DynamicPlant) -> None:
         first, second = (one.job.arm for one in crew.found)
         site = crew.workcells[0].site
         own = replace(crew.found[0].job, obstacles=(*site.obstacles, *site.kept_out))
@@ -211,7 +211,7 @@ class Together:
         self.begun = 0.0
         """When [s of the plant's clock]."""
         self.turns: list[Turn] = []
-        self.tried: tuple[dict[int, Course], dict[int, Course]] = ({}, {})
+        self.tried: tuple[dict[int, Route], dict[int, Route]] = ({}, {})
         """What each arm would have announced for blocks whose way the other one was in."""
         self.moves = [0, 0]
         """The piece that each arm moves, or was the last to."""
@@ -347,7 +347,7 @@ class Together:
         """What an arm says before it moves, see :attr:`~.attempt.Attempts.announce`."""
 
         def announce(run: Execution, block: str) -> bool:
-            building, course = self.buildings[who], course_of(run, block)
+            building, course = self.buildings[who], route_of(run, block)
             k = building.world.names.index(block)
             if self.traffic.announce(who, course):
                 self.moves[who] = k

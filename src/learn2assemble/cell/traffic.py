@@ -54,7 +54,7 @@ class Leg(NamedTuple):
     swept: Sweep
 
 
-class Course(NamedTuple):
+class Route(NamedTuple):
     """What an arm announces."""
 
     block: str
@@ -73,7 +73,7 @@ class Lane:
     arm: Arm
     here: Sweep
     """Where it stands, or the leg it is on."""
-    course: Course | None = None
+    course: Route | None = None
     ahead: tuple[Leg, ...] = ()
     """What is left of its course."""
     stage: str = ""
@@ -117,7 +117,7 @@ class Traffic:
 
     # ------------------------------------------------------------ announcing
 
-    def fits(self, who: int, course: Course) -> bool:
+    def fits(self, who: int, course: Route) -> bool:
         """Whether an arm that stands may set out on a course."""
         lane, other = self.lanes[who], self.other(who)
         if other.course is not None:
@@ -128,7 +128,7 @@ class Traffic:
                 return False
         return self._complete(lane.here.end, course.legs, other.here.end, other.ahead)
 
-    def announce(self, who: int, course: Course) -> bool:
+    def announce(self, who: int, course: Route) -> bool:
         """As :meth:`fits`; if so, the course is known from now on."""
         if not self.fits(who, course):
             return False
@@ -298,7 +298,7 @@ def _joined(reports: Sequence[Report], done: float) -> Report:
     return last._replace(done=done, seconds=seconds, played=whole)
 
 
-def course_of(run: Execution, block: str) -> Course:
+def route_of(run: Execution, block: str) -> Route:
     """What an attempt that is about to begin announces.
 
     Args:
@@ -320,4 +320,4 @@ def course_of(run: Execution, block: str) -> Course:
     legs.append(Leg("place", sweep(arm, both, place[::-1])))
     legs.append(Leg("retreat", sweep(arm, own, leave)))
     legs += [Leg("home", sweep(arm, own, np.array(way))) for way in pairwise(run.course.home)]
-    return Course(block, held, tuple(legs), goal)
+    return Route(block, held, tuple(legs), goal)

@@ -10,7 +10,7 @@ from learn2assemble.assembly.hands import Hand
 from learn2assemble.statics.states import State
 
 
-class Grip(NamedTuple):
+class Bringing(NamedTuple):
     """A way in which a block is brought to its place, and could be held there."""
 
     arm: str | None = None
@@ -19,18 +19,18 @@ class Grip(NamedTuple):
     """What its hand can give; by default the hand bears any load."""
 
 
-ANYHOW = Grip()
+ANYHOW = Bringing()
 
 
 class Crew(Protocol):
     """Who builds some blocks."""
 
-    def grips(self, block: int, state: State) -> Iterator[Grip]:
+    def grips(self, block: int, state: State) -> Iterator[Bringing]:
         """Ways in which a block that is missing can be brought to its place among what is there,
         by those who hold nothing now; the best one first, none where it cannot come."""
         ...
 
-    def takes(self, block: int, state: State) -> Iterator[Grip]:
+    def takes(self, block: int, state: State) -> Iterator[Bringing]:
         """Ways in which a block that is there can be taken away, as :meth:`grips`."""
         ...
 
@@ -45,10 +45,10 @@ class Anybody:
     def __init__(self, hands: Sequence[Hand] = ()) -> None:
         self.hands = hands
 
-    def grips(self, block: int, state: State) -> Iterator[Grip]:
-        yield Grip(None, self.hands[block]) if block < len(self.hands) else ANYHOW
+    def grips(self, block: int, state: State) -> Iterator[Bringing]:
+        yield Bringing(None, self.hands[block]) if block < len(self.hands) else ANYHOW
 
-    def takes(self, block: int, state: State) -> Iterator[Grip]:
+    def takes(self, block: int, state: State) -> Iterator[Bringing]:
         yield ANYHOW
 
 

@@ -17,7 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
-from learn2assemble.planning.crew import ANYHOW, Anybody, Crew, Grip
+from learn2assemble.planning.crew import ANYHOW, Anybody, Bringing, Crew
 from learn2assemble.planning.posts import Post
 from learn2assemble.planning.sequence import WAIT, Doing, FoundOrder, Transition
 from learn2assemble.statics.laws import Law
@@ -339,7 +339,7 @@ class Forward:
 
     def _goes(self, block: int, state: State) -> Doing:
         """The step in which a prop is taken away, by the first who can, else by hand."""
-        grip: Grip = next(self.site.crew.takes(block, state), ANYHOW)
+        grip: Bringing = next(self.site.crew.takes(block, state), ANYHOW)
         return Doing("remove", block, None, grip.arm)
 
     # ------------------------------------------------------------ what goes again

@@ -14,7 +14,7 @@ from typing import TypeVar
 T = TypeVar("T")
 
 
-class Clock:
+class SharedClock:
     """Lets jobs run side by side, one at a time.
 
     Args:

@@ -21,7 +21,7 @@ from learn2assemble.robot.moves import Scene
 from learn2assemble.robot.studs import GROUND, Studs
 from learn2assemble.simulation.bench import Bench
 from learn2assemble.simulation.cell import WorldForces, Worlds
-from learn2assemble.simulation.clock import Clock
+from learn2assemble.simulation.clock import SharedClock
 from learn2assemble.simulation.clutch import Clutch
 from learn2assemble.simulation.contacts import BLIND
 from learn2assemble.simulation.model import SHRINK, TIMESTEP, group
@@ -86,7 +86,7 @@ class DynamicWorld(SimulatedCell):
         """By rows of the scene, the kinds that each joint of studs joins."""
         self.hardest = 0.0
         """What a block that was set down pressed hardest with [N]."""
-        self.clock = Clock(self._advance)
+        self.clock = SharedClock(self._advance)
 
     def _advance(self, moving: frozenset[int]) -> None:
         """A step of time, in which these arms do what they were told, and others stand."""
