@@ -133,7 +133,7 @@ def test_other_plants_are_shown_by_pictures_that_are_given(tmp_path: Path) -> No
 
     def pictures() -> Any:
         taken.append(1)
-        return eyes.look(cell.solids(), cell.joints, cell.time)
+        return eyes.look(cell.solids(), cell.sense())
 
     with pytest.raises(InputError, match="cameras: got 'right, left', expected what takes"):
         l2a.run(planned(), Robot(), layout=site)  # pyright: ignore[reportArgumentType]
