@@ -39,7 +39,7 @@ class BrickStates:
         self.assembly, self.joint = assembly, assembly.joint
         found = stands_by_joints(assembly)
         self.need, self.balance = found.need, found.balance
-        self.law = ByStrength(assembly, found.balance, found.tight)
+        self.law = ByStrength(assembly, found)
 
     def present(self, bricks: frozenset[int]) -> np.ndarray:
         """bool[B]: bricks that are there."""

@@ -23,6 +23,10 @@ from learn2assemble.statics.states import State
 
 _TRIES = 300, 10
 """Bricks taken away before the search gives up: so many, and so many for each one there is."""
+_MANY = 500
+"""Bricks up to which programs of all of them say what stands; of more, where hands help, what is
+proven from the state before, and a hand holds what is pressed on where it is not."""
+_NONE = np.empty(0, np.int64)
 _HELPERS = 6
 """Bricks that are tried to be held for one that does not stand."""
 
@@ -45,6 +49,9 @@ class TakingApart:
         self.law, self.help, self.strength = law, supports, assembly.joint.press
         self.mates = mates = BrickMates(assembly)
         self.fixed, low, high = mates.fixed, mates.lattice.low, mates.lattice.high
+        self._hung: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        """Of bricks, what hung on them alone when that was last asked, and what was there then."""
+        self.many = mates.count > _MANY and supports.hands
         self.tries = _TRIES[0] + _TRIES[1] * mates.count
         nobody = np.zeros(mates.count, bool)
         self.first = Transition((), State(~nobody, nobody))
@@ -97,24 +104,53 @@ class TakingApart:
         state = last.state
         held, free = state.held, state.present & ~self.fixed
         single: list[tuple[int, Way, State]] = []
-        covered: list[tuple[int, State]] = []
-        for b in [b for b in self.rank if free[b]]:
-            way, rest = self.way([b], state), _without(state, [b])
-            if way is None or len(self._loose(rest)):
-                covered.append((b, rest))
+        highest: list[int] = []
+        above, below = self.mates.open(state.present)
+        below &= ~self.mates.based & self.help.hands
+        loose = free & (above | below)
+        for b in [b for b in self.rank if loose[b]]:
+            way: Way = "above" if above[b] else "below"
+            rest = _without(state, [b])
+            if self._carries(b, rest):
+                highest += [b] if way == "above" and not held[b] else []
             elif held[b] or self._meets(b, way, rest):
                 single.append((b, way, rest))
                 yield from self._single(b, way, state, rest)
-        groups = []
         if self.help.hands:
-            groups = [(b, self._loose(rest)) for b, rest in covered if not held[b]]
-            groups = [(b, loose) for b, loose in groups if len(loose)]
-        for b, loose in sorted(groups, key=lambda one: len(one[1])):
-            yield from self._several(b, loose, state)
+            groups = [group for b in highest if (group := self._together(b, state))]
+            for group in sorted(groups, key=len):
+                yield from self._several(group, state)
         if held.sum() < self.help.holds:
             for b, way, rest in single:
                 for helper in self._helpers(rest):
                     yield from self._single(b, way, state, rest, helper)
+
+    def _carries(self, b: int, rest: State) -> bool:
+        """Whether something hangs on nothing without a brick."""
+        known, there = self._hung.get(b, (_NONE, rest.present))
+        # What hung on it alone still does while fewer bricks are there.
+        if rest.held.any() or not rest.present[known].any() or (rest.present & ~there).any():
+            known = self._loose(rest)
+            self._hung[b] = known, rest.present
+        return len(known) > 0
+
+    def _together(self, b: int, state: State) -> list[int]:
+        """A brick with what has to come off with it: what hangs on it, and what is over that; empty
+        where that is everything."""
+        group = np.zeros(len(self.fixed), bool)
+        group[b] = True
+        more = group
+        while more.any():
+            over = np.zeros_like(group)
+            for k in np.flatnonzero(more).tolist():
+                over[self.mates.over[k]] = True
+            grown = group | (over & state.present)
+            rest = State(state.present & ~grown, state.held & ~grown)
+            grown[self._loose(rest)] = True
+            more, group = grown & ~group, grown
+        if group[state.held | self.fixed].any() or (group == state.present).all():
+            return []
+        return [b, *(k for k in np.flatnonzero(group).tolist() if k != b)]
 
     def _single(
         self, b: int, way: Way, state: State, rest: State, helper: int | None = None
@@ -133,7 +169,7 @@ class TakingApart:
                 yield self._with([Doing("place", b, whence), Doing("hold", b)], left)
             return
         hand = rest if helper is None else rest.change(hold=[helper])
-        if not self.law.stands(hand):
+        if not self._stand(hand):
             return
         there = state if helper is None else state.change(hold=[helper])
         pressed = self._pressed([b], way, there, rest)
@@ -142,7 +178,7 @@ class TakingApart:
         mate, under = pressed
         middle = self.press_on([b], way, rest)._replace(at=self.mates.middle(b))
         steps = [Doing("place", b, way)]
-        if self.help.holds > 0 and not self.law.stands(under, push=middle):
+        if self.help.holds > 0 and not self.law.stands(under, not self.many, middle):
             steps += [Doing("hold", b), Doing("release", b)]
         if helper is not None:
             steps.append(Doing("release", helper))
@@ -154,7 +190,8 @@ class TakingApart:
         """Who has to hold what while some bricks are pressed home: nobody, or a hand each brick
         they are pressed on, in turn; of these the one with the most knobs, and the state in which
         it is held. None where that is not enough."""
-        if self.law.stands(state, push=self.press_on(group, way, rest)):
+        press = self.press_on(group, way, rest)
+        if self.law.stands(state, not self.many, press):
             return None, state
         mates = {
             m: b for b in group for m in self._mates(b) if rest.present[m] and not self.fixed[m]
@@ -165,7 +202,7 @@ class TakingApart:
         for mate, b in mates.items():
             alone = State(np.zeros_like(rest.present), rest.held).change(place=[mate])
             press = self.press_on([b], way, alone)
-            if not self.law.stands(state.change(hold=[mate]), push=press):
+            if not self.law.stands(state.change(hold=[mate]), not self.many, press):
                 return None
         most = max(mates, key=lambda m: self._knobs(m, mates[m]))
         return most, state.change(hold=[most])
@@ -182,32 +219,33 @@ class TakingApart:
         some = [b for b in moving if rest.present[b] and not self.fixed[b] and not rest.held[b]]
         return sorted(some, key=lambda b: -self.mates.lattice.high[b, 2])[:_HELPERS]
 
-    def _several(self, b: int, loose: np.ndarray, state: State) -> Iterator[Transition]:
-        """A brick with what comes off with it, built beside and attached as one."""
-        group = [b, *loose.tolist()]
-        way, rest = self.way(group, state), _without(state, group)
-        if way is None or state.held[group].any() or not self.law.stands(rest):
+    def _several(self, group: list[int], state: State) -> Iterator[Transition]:
+        """Bricks that come off together, built beside, where the first one is held, and attached as
+        one."""
+        b, way, rest = group[0], self.way(group, state), _without(state, group)
+        if way is None or not self._stand(rest):
             return
         pressed = self._pressed(group, way, state, rest)
         if pressed is None:
             return
-        there = rest.change(place=[b], hold=[b])
-        steps = [Doing("place", b, "beside"), Doing("hold", b)]
-        left, layer = set(loose.tolist()), self.mates.lattice.low[:, 2]
-        while left:
-            ready = [k for k in left if there.present[self._mates(k)].any()]
-            if not ready:
+        nobody = np.zeros_like(state.held)
+        there = State(nobody, nobody).change(place=group, hold=[b])
+        layer, steps = self.mates.lattice.low[:, 2], []
+        while there.present.sum() > 1:
+            left = [k for k in np.flatnonzero(there.present).tolist() if k != b]
+            for k in sorted(left, key=lambda one: (-abs(layer[one] - layer[b]), one)):
+                less = _without(there, [k])
+                own = self.way([k], there)
+                if own is None or not self._meets(k, own, less) or len(self._loose(less)):
+                    continue
+                if self._pressed([k], own, there, less) is not None:
+                    there = less
+                    steps.append(Doing("place", k, "beside"))
+                    break
+            else:
                 return
-            k = min(ready, key=lambda one: (abs(layer[one] - layer[b]), one))
-            there = there.change(place=[k])
-            below = any(m != GROUND for m in self.mates.meets(k, there.present))
-            press = self.press_on([k], "above" if below else "below", there)
-            if not self.law.stands(there, push=press):
-                return
-            steps.append(Doing("place", k, "beside"))
-            left.discard(k)
-        steps.append(Doing("release", b))
-        yield self._with(_while_held(pressed[0], steps), rest)
+        made = [Doing("place", b, "beside"), Doing("hold", b), *steps[::-1], Doing("release", b)]
+        yield self._with(_while_held(pressed[0], made), rest)
 
     def _with(self, steps: list[Doing], rest: State) -> Transition:
         """The move, without holds that the rest does not need."""
@@ -236,6 +274,10 @@ class TakingApart:
         if self.help.hands and not based and not any(rest[mates.under[b]].any() for b in group):
             return "below"
         return None
+
+    def _stand(self, state: State) -> bool:
+        """Whether a state stands."""
+        return self.law.stands(state, not self.many)
 
     def _meets(self, b: int, way: Way, rest: State) -> bool:
         """Whether a brick meets knobs, or its knobs meet a brick, where it comes to."""

@@ -315,8 +315,8 @@ class BrickOrder:
 
     def __init__(self, assembly: Assembly) -> None:
         self.blocks, self.assembly = assembly.blocks, replace(assembly, steps=())
-        self.need, tight, balance, _ = stands_by_joints(self.assembly)
-        self.law = ByStrength(self.assembly, balance, tight)
+        found = stands_by_joints(self.assembly)
+        self.need, self.law = found.need, ByStrength(self.assembly, found)
 
     def find(
         self, supports: Supports, clock: Clock, progress: Progress = lambda text: None

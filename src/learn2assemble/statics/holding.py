@@ -101,7 +101,7 @@ class Balance:
         self.weight = GRAVITY * np.array([block.mass for block in blocks])
         centre = np.array([block.centroid for block in blocks])
         self._centre = centre
-        self._unit = float(self.weight.mean())
+        self.unit = float(self.weight.mean())
         self._length = float(np.cbrt(np.median([block.volume for block in blocks])))
         self.kept = np.arange(len(forces.upright)) if sides else np.flatnonzero(forces.upright)
         columns = Columns(*(field[self.kept] for field in forces.columns))
@@ -109,10 +109,10 @@ class Balance:
         self._width = n = len(columns.b)
         matrix = self._matrix(joined([columns, forces.preload]), centre)
         first = matrix.indptr[n]
-        matrix.data[first:] = np.asarray(matrix.data[first:], np.float64) / self._unit
+        matrix.data[first:] = np.asarray(matrix.data[first:], np.float64) / self.unit
         self._both = matrix
-        self._bodies = columns.a, columns.b
-        self._pull_bodies = forces.preload.a, forces.preload.b
+        self.bodies = columns.a, columns.b
+        self.pull_bodies = forces.preload.a, forces.preload.b
         rows = 6 * self.count
         self._last = np.bincount(matrix.indices[first:], matrix.data[first:], rows)
         filled = np.flatnonzero(self._last)
@@ -120,8 +120,8 @@ class Balance:
         index = np.concatenate([matrix.indices[:first], filled]).astype(np.int32)
         value = np.concatenate([matrix.data[:first], self._last[filled]])
         self._solver = solver = new_solver(self.count)
-        self._lower = np.append(columns.lower / self._unit, 0.0)
-        self._upper = np.append(columns.upper / self._unit, np.inf)
+        self._lower = np.append(columns.lower / self.unit, 0.0)
+        self._upper = np.append(columns.upper / self.unit, np.inf)
         load = self._load(np.zeros(self.count), None)
         cost = np.zeros(n + 1)
         cost[n] = 1.0
@@ -153,12 +153,12 @@ class Balance:
     # ------------------------------------------------------------ the program
 
     @cached_property
-    def _wrench(self) -> sp.csc_matrix:
+    def wrench(self) -> sp.csc_matrix:
         """[6 count, n]: wrenches of unit forces."""
         return self._both[:, : self._width]
 
     @cached_property
-    def _pulls(self) -> sp.csc_matrix:
+    def pulls(self) -> sp.csc_matrix:
         """[6 count, joints]: wrenches of whole preloads, in mean weights."""
         return self._both[:, self._width :]
 
@@ -187,9 +187,9 @@ class Balance:
             sideways: float64[2], horizontal acceleration of all blocks [g].
         """
         load = np.zeros((self.count, 6))
-        load[:, 2] = (self.weight + push) / self._unit
+        load[:, 2] = (self.weight + push) / self.unit
         if sideways is not None:
-            load[:, :2] = self.weight[:, None] * sideways / self._unit
+            load[:, :2] = self.weight[:, None] * sideways / self.unit
         return load.reshape(-1)
 
     def _unheld(
@@ -208,13 +208,13 @@ class Balance:
         """Hands of blocks, in the units of the program."""
         number = np.where(free, np.arange(self.count), -1)
         length = np.full(self.count, self._length)
-        return held_blocks(hands, number, self._centre, self._unit, length)
+        return held_blocks(hands, number, self._centre, self.unit, length)
 
     def _row_bounds(self, load: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         rows = np.repeat(free, 6)
         return np.where(rows, load, -np.inf), np.where(rows, load, np.inf)
 
-    def _on(self, bodies: tuple[np.ndarray, np.ndarray], present: np.ndarray) -> np.ndarray:
+    def on(self, bodies: tuple[np.ndarray, np.ndarray], present: np.ndarray) -> np.ndarray:
         a, b = bodies
         return present[b] & ((a < 0) | present[a])
 
@@ -222,7 +222,7 @@ class Balance:
         """Change what differs from the state before."""
         solver = self._solver
         if (present != self._present).any():
-            before, now = self._on(self._bodies, self._present), self._on(self._bodies, present)
+            before, now = self.on(self.bodies, self._present), self.on(self.bodies, present)
             change = np.flatnonzero(before != now).astype(np.int32)
             if len(change):
                 on = now[change]
@@ -232,8 +232,8 @@ class Balance:
                     np.where(on, self._lower[change], 0.0),
                     np.where(on, self._upper[change], 0.0),
                 )
-            pulling = self._on(self._pull_bodies, present).astype(float)
-            last = self._pulls @ pulling
+            pulling = self.on(self.pull_bodies, present).astype(float)
+            last = self.pulls @ pulling
             for row in np.flatnonzero(np.abs(last - self._last) > 1e-12).tolist():
                 solver.changeCoeff(row, self._width, float(last[row]))
             self._last, self._present = last, present.copy()
@@ -294,7 +294,7 @@ class Balance:
         if not fits:
             return Need(np.inf, x[: self._width])
         share = float(max(x[self._width], 0.0))
-        return Need(share, x[: self._width] * self._unit)
+        return Need(share, x[: self._width] * self.unit)
 
     def lessened_by(self, columns: Columns) -> bool:
         """Whether further forces could lessen the need of all blocks that was asked last: not where
@@ -325,15 +325,20 @@ class Balance:
         free = self._unheld(present, held, hands)
         if not free.any():
             return True
+        self._aim(False)
+        self._set(present, free, self.pushed(push))
+        with held_meanwhile(self._solver, self._held(hands, free), self.count):
+            return self._run()[0]
+
+    def pushed(self, push: Push | None) -> np.ndarray:
+        """float64[6 count]: what forces have to balance while something pushes a block, in mean
+        weights."""
         load = self._load(np.zeros(self.count), None)
         if push is not None:
             arm = np.array(push.at) - self._centre[push.block, :2]
-            wrench = push.force / self._unit * np.array([1.0, *(arm[::-1] / self._length)])
+            wrench = push.force / self.unit * np.array([1.0, *(arm[::-1] / self._length)])
             load[6 * push.block + np.arange(2, 5)] += wrench * [1, 1, -1]
-        self._aim(False)
-        self._set(present, free, load)
-        with held_meanwhile(self._solver, self._held(hands, free), self.count):
-            return self._run()[0]
+        return load
 
     def _aim(self, least: bool) -> None:
         """Look for the least share of the strength, or for any forces with all of it.
@@ -350,15 +355,15 @@ class Balance:
     def _by_cones(self, load: np.ndarray, present: np.ndarray, free: np.ndarray) -> Need | None:
         """The same by interior points, which many blocks cost less; None where it is stuck."""
         rows = np.flatnonzero(np.repeat(free, 6))
-        on = np.flatnonzero(self._on(self._bodies, present))
+        on = np.flatnonzero(self.on(self.bodies, present))
         last = sp.csc_matrix(self._last[rows].reshape(-1, 1))
-        balance = sp.hstack([self._wrench[rows][:, on], last])
+        balance = sp.hstack([self.wrench[rows][:, on], last])
         lower, upper = np.append(self._lower[on], 0.0), np.append(self._upper[on], np.inf)
         found = by_cones(balance, load[rows], lower, upper)
         if found is None:
             return None
         forces = np.zeros(self._width)
-        forces[on] = found[:-1] * self._unit
+        forces[on] = found[:-1] * self.unit
         return Need(float(max(found[-1], 0.0)), forces)
 
     def margin_g(
@@ -384,8 +389,8 @@ class Balance:
         self._aim(True)
         self._set(there, free, self._load(np.zeros(self.count), None))
         solver, width = self._solver, self._width
-        pulling = self._on(self._pull_bodies, there).astype(float)
-        offset = self._pulls @ pulling  # The whole strength is there.
+        pulling = self.on(self.pull_bodies, there).astype(float)
+        offset = self.pulls @ pulling  # The whole strength is there.
         points, angles, queue, above = [], [], list(_FIRST), MOST_G
         solver.changeColCost(width, -1.0)
         load = self._load_now
@@ -397,7 +402,7 @@ class Balance:
                 angle = queue.pop(0)
                 way = np.array([np.cos(angle), np.sin(angle)])
                 column = np.zeros((self.count, 6))
-                column[:, :2] = -self.weight[:, None] * way / self._unit
+                column[:, :2] = -self.weight[:, None] * way / self.unit
                 self._replace_last(column.reshape(-1))
                 solver.changeColBounds(width, 0.0, MOST_G)
                 fits, x = self._run()
@@ -424,7 +429,7 @@ class Balance:
     def _bound(self, dual: np.ndarray, load: np.ndarray, reach: float, way: np.ndarray) -> float:
         """How far the line through a point of the border that no acceleration passes is from 0."""
         side = dual.reshape(-1, 6)[:, :2]
-        slope = (self.weight[:, None] / self._unit * side).sum(0)
+        slope = (self.weight[:, None] / self.unit * side).sum(0)
         length = float(np.linalg.norm(slope))
         return MOST_G if length == 0 else abs(float(slope @ way)) * reach / length
 
@@ -444,10 +449,10 @@ class Balance:
         there = np.ones(self.count, bool) if present is None else present
         free = self._unheld(there, held, hands)
         rows = np.flatnonzero(np.repeat(free, 6))
-        on = np.flatnonzero(self._on(self._bodies, there))
-        pulling = self._on(self._pull_bodies, there).astype(float)
-        load = self._load(np.zeros(self.count), None) - self._pulls @ pulling
-        matrix = self._wrench
+        on = np.flatnonzero(self.on(self.bodies, there))
+        pulling = self.on(self.pull_bodies, there).astype(float)
+        load = self._load(np.zeros(self.count), None) - self.pulls @ pulling
+        matrix = self.wrench
         if len(rows) < 6 * self.count or len(on) < self._width:
             matrix = matrix[rows][:, on]
         m, n = len(rows), len(on)
@@ -479,7 +484,7 @@ class Balance:
         some = [one._replace(body=int(number[one.body])) for one in self._held(hands, free)]
         with held_meanwhile(solver, some, int(free.sum())):
             solver.run()
-            force = float(solver.getInfo().objective_function_value) * self._unit
+            force = float(solver.getInfo().objective_function_value) * self.unit
             motion = np.zeros(6 * self.count)
             motion[rows] = np.array(solver.getSolution().row_dual)[:m]
         size = np.linalg.norm(motion.reshape(-1, 6), axis=1)

@@ -92,6 +92,28 @@ def joined(parts: list[Columns]) -> Columns:
     return Columns(*map(np.concatenate, zip(*parts, strict=True)))
 
 
+def among(forces: Forces, blocks: np.ndarray) -> Forces:
+    """The forces between some blocks of an assembly, and on the ground, renumbered.
+
+    Args:
+        blocks: int64[m], in ascending order.
+
+    Returns:
+        They, with the contacts of all.
+    """
+    bodies = [body for part in forces[:2] for body in (part.a, part.b)]
+    number = np.full(max(int(one.max(initial=-1)) for one in (blocks, *bodies)) + 2, -2)
+    number[blocks] = np.arange(len(blocks))
+    number[GROUND] = GROUND  # The last entry.
+    made, kept = [], []
+    for part in forces[:2]:
+        a, b = number[part.a], number[part.b]
+        on = np.flatnonzero((a >= GROUND) & (b >= 0))
+        kept.append(on)
+        made.append(Columns(*(field[on] for field in part))._replace(a=a[on], b=b[on]))
+    return Forces(made[0], made[1], forces.contacts, forces.upright[kept[0]])
+
+
 def law_between(assembly: Assembly) -> Callable[[int, int], Joint]:
     """The law of the joint of two blocks, by their numbers; GROUND is the ground."""
     if not assembly.joints:

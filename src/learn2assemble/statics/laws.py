@@ -17,8 +17,9 @@ from learn2assemble.assembly.contacts import Contacts, shrunk
 from learn2assemble.assembly.hands import Hand
 from learn2assemble.linear_programs import Clock
 from learn2assemble.statics.holding import Balance, Push, balance_of
-from learn2assemble.statics.holding_check import margin_n, reference
-from learn2assemble.statics.holding_forces import forces_of
+from learn2assemble.statics.holding_check import JointAnswer, margin_n, reference
+from learn2assemble.statics.holding_forces import among
+from learn2assemble.statics.holding_near import NearForces
 from learn2assemble.statics.proofs import CLUTCH, CLUTCH_TIGHT, LOCAL, MORTAR, PROGRAM
 from learn2assemble.statics.sideways import Sideways
 from learn2assemble.statics.states import Pushes, State, States
@@ -224,21 +225,34 @@ class ByStrength:
 
     Args:
         assembly: steps are not looked at.
-        balance: of all of it.
-        sides: whether faces side by side push in it, too.
+        found: the answer for all of it.
     """
 
-    def __init__(self, assembly: Assembly, balance: Balance, sides: bool) -> None:
-        self.assembly, self.balance, self.sides = assembly, balance, sides
-        self.proof = CLUTCH_TIGHT if sides else CLUTCH
-        self._scope, self._narrow = np.arange(len(assembly.blocks)), balance
+    def __init__(self, assembly: Assembly, found: JointAnswer) -> None:
+        self.assembly, self.balance, self.sides = assembly, found.balance, found.tight
+        self.proof = CLUTCH_TIGHT if found.tight else CLUTCH
+        self._forces, self._narrow = found.forces, found.balance
+        self._scope = np.arange(len(assembly.blocks))
+        self._near = NearForces(found.balance, found.forces)
         self._known: dict[tuple[bytes, Push | None], bool] = {}
 
     def stands(self, state: State, thorough: bool = True, push: Push | None = None) -> bool:
-        """As of a :class:`Law`, also while something pushes a block; answers are kept."""
+        """As of a :class:`Law`, also while something pushes a block; answers are kept.
+
+        Args:
+            thorough: False asks for no program of all bricks, which many bricks make slow.
+        """
         key = state.key, push
         if key not in self._known:
-            self._known[key] = self._asked(state, push)
+            # What is close by knows hands that bear any load alone.
+            if not state.hands and self._near.stands(
+                state.present, state.held, push, thorough or push is None
+            ):
+                self._known[key] = True
+            elif not thorough:
+                return False
+            else:
+                self._known[key] = self._asked(state, push)
         return self._known[key]
 
     def rests(self, state: State, block: int) -> bool:
@@ -259,6 +273,8 @@ class ByStrength:
         """What a contact point can pull more than a state needs [N]."""
         balance, scope = self._program(state)
         present, held, hands = _parts(state, scope)
+        # Forces of any kind to begin with: from far away the least share takes far longer.
+        balance.stands(present, held, hands=hands)
         need = balance.need(present, held, hands=hands)
         return margin_n(need.share, reference(self.assembly))
 
@@ -275,8 +291,8 @@ class ByStrength:
         if few or present[scope].sum() != present.sum():
             self._scope = scope = np.flatnonzero(present if few else np.ones_like(present))
             blocks = tuple(self.assembly.blocks[k] for k in scope.tolist())
-            some = replace(self.assembly, blocks=blocks)
-            self._narrow = Balance(some, forces_of(some), self.sides)
+            forces = among(self._forces, scope)
+            self._narrow = Balance(replace(self.assembly, blocks=blocks), forces, self.sides)
         return self._narrow, scope
 
     def _asked(self, state: State, push: Push | None) -> bool:
@@ -286,7 +302,10 @@ class ByStrength:
         if push is not None:
             push = push._replace(block=int(np.searchsorted(scope, push.block)))
         present, held, hands = _parts(state, scope)
-        return balance.stands(present, held, push, hands)
+        stands = balance.stands(present, held, push, hands)
+        if stands and push is None and not hands:
+            self._near.begin(state.present, state.held)
+        return stands
 
 
 def _parts(state: State, scope: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[int, Hand]]:

@@ -73,7 +73,18 @@ class BrickMates:
         self.over = [np.flatnonzero(row) for row in over]
         """Of each brick those that are above it, wherever; and those below."""
         self.under = [np.flatnonzero(row) for row in over.T]
+        self._over = sp.csr_matrix(over.astype(float))
+        self._under = self._over.T.tocsr()
         self._centre = np.array([block.centroid[:2] for block in blocks])
+
+    def open(self, present: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """bool[B] each: bricks over which, and under which, nothing is there, wherever.
+
+        Args:
+            present: bool[B], bricks that are there.
+        """
+        there = present.astype(float)
+        return np.equal(self._over @ there, 0), np.equal(self._under @ there, 0)
 
     def loose(self, present: np.ndarray, held: np.ndarray | None = None) -> np.ndarray:
         """int64[n]: bricks that hang on nothing that stands.
