@@ -230,6 +230,10 @@ def test_a_protective_stop_is_said(fake: Fake, plant: Plant) -> None:
     report = plant.execute(motion(0.5))
     assert report.stop is Stop.PROTECTIVE
     assert 0 < report.done < 1
+    for _ in range(100):  # What is published of the state may be older than the report.
+        if plant.sense().state == "stopped":
+            break
+        time.sleep(0.02)
     assert plant.sense().state == "stopped"
     where = fake.stands()
     assert plant.execute(motion(0.1, start=where)).stop is Stop.PROTECTIVE

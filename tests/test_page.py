@@ -180,7 +180,7 @@ def test_steps_of_props_and_supports() -> None:
         "prop": ("prop", 2, 4),
         "L": (PALETTE[0], 3, 0),
     }
-    assert data["captions"][4].startswith("Remove prop prop")
+    assert data["captions"][4].startswith("Remove prop (")
     rows = re.findall(r'<tr data-step="(\d)">.*?<td>(place|remove)</td>', text)
     assert rows == [("1", "place"), ("2", "place"), ("3", "place"), ("4", "remove")]
     bill = text.split("Bill of blocks")[1].split("</table>")[0]

@@ -185,7 +185,7 @@ def crew() -> Pair:
 
 
 def test_two_arms_build_together(crew: Pair) -> None:
-    both = Together(crew, watched=Watched)
+    both = Together(crew, Watched)
     told: list[str] = []
     assert both.run(told.append) is None
     assert both.complete
@@ -209,7 +209,7 @@ def test_two_arms_build_together(crew: Pair) -> None:
 def test_an_arm_that_is_stopped_leaves_the_other_one_safe(crew: Pair) -> None:
     """The first arm stops on its way across: it stands there, with what it holds, and the other one
     keeps its distance and does not place that block."""
-    both = Together(crew, watched=Watched)
+    both = Together(crew, Watched)
     mine, execute = both.plant.plants[0], both.plant.plants[0].execute
 
     def stopped(motion: Motion, *told: object) -> Report:

@@ -12,7 +12,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -27,8 +27,9 @@ from learn2assemble.cell.traffic import ArmInTraffic, Route, Traffic, route_of
 from learn2assemble.cell.workcell import Job, Progress, StepOf, Workcell, job_of
 from learn2assemble.cell.world import rows_of
 from learn2assemble.errors import InputError
-from learn2assemble.motion.plant import PlantError, standing
+from learn2assemble.motion.plant import Plant, PlantError, Readings, standing
 from learn2assemble.motion.record import BuildRecord
+from learn2assemble.motion.setup import Setup
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.inverse import RESTARTS, solve
@@ -36,7 +37,6 @@ from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.simulation.execution import EMPTY, Execution, straight_motion
 from learn2assemble.simulation.model import Failure, lean_table, rigid_objects
-from learn2assemble.simulation.plant import DynamicPlant
 from learn2assemble.simulation.ways import WorldChecker, free_way
 
 BASE = (0.3, 0.3, 0.5)
@@ -49,6 +49,35 @@ AT_HOME = 1e-3
 """An arm that is so near to its home is there [rad]."""
 PATIENCE, SOON = 600, 20
 """So often, before it counts as stuck while the other arm is at work, and where that has ended."""
+
+
+class Turns(Protocol):
+    """Lets work of several arms run side by side on one clock."""
+
+    def run(self, jobs: Sequence[Callable[[], None]]) -> Any:
+        """Until all of them are done."""
+        ...
+
+
+class SharedCell(Protocol):
+    """Plants of several arms in one world."""
+
+    @property
+    def plants(self) -> Sequence[Plant]:
+        """One of each arm."""
+        ...
+
+    @property
+    def clock(self) -> Turns:
+        """The time they share."""
+        ...
+
+    def sense(self) -> Readings:
+        """What is sensed now, with the first arm."""
+        ...
+
+
+Cell = TypeVar("Cell", bound=SharedCell)
 
 
 class Pair(NamedTuple):
@@ -185,20 +214,21 @@ class Turn:
     """[s]"""
 
 
-class Together:
+class Together(Generic[Cell]):
     """A build by two arms.
 
     Args:
         crew: of :func:`gather`.
-        watched: what simulates the cell.
+        opened: opens the cell that is described, with the plants of both arms; of a simulation
+            :class:`~learn2assemble.simulation.plant.DynamicPlant`.
     """
 
-    def __init__(self, crew: Pair, watched: type[DynamicPlant] = DynamicPlant) -> None:
+    def __init__(self, crew: Pair, opened: Callable[[Setup], Cell]) -> None:
         first, second = (one.job.arm for one in crew.found)
         site = crew.workcells[0].site
         own = replace(crew.found[0].job, obstacles=(*site.obstacles, *site.kept_out))
         setup = setup_of(own, crew.workcells[0])._replace(others=(second,))
-        self.plant, self.traffic = watched(setup), Traffic((first, second))
+        self.plant, self.traffic = opened(setup), Traffic((first, second))
         self.arms = tuple(
             ArmInTraffic(self.plant.plants[who], self.traffic, who) for who in range(2)
         )

@@ -46,7 +46,7 @@ _PARTS = 2, 3, 4
 """Of the six rows of a block: its weight, and the couples about the level axes."""
 
 
-class _Known(NamedTuple):
+class _Balanced(NamedTuple):
     """What balances a state with all the strength of its joints."""
 
     present: np.ndarray
@@ -72,8 +72,8 @@ class NearForces:
         self._bodies = a[which], b[which]
         self._rows = (6 * np.arange(count)[:, None] + _PARTS).reshape(-1)
         self._matrix = balance.wrench[:, which][self._rows].tocsr()
-        self._joints = _Joints(self._matrix, self._bodies, count)
-        self._known: list[_Known] = []
+        self._joints = _JointSums(self._matrix, self._bodies, count)
+        self._known: list[_Balanced] = []
         everything = np.ones(count, bool)
         self.begin(everything, ~everything)
 
@@ -87,7 +87,7 @@ class NearForces:
             self._keep(present, held, made)
 
     def _keep(self, present: np.ndarray, held: np.ndarray, size: np.ndarray) -> None:
-        self._known = [_Known(present.copy(), held.copy(), size), *self._known[: _KEPT - 1]]
+        self._known = [_Balanced(present.copy(), held.copy(), size), *self._known[: _KEPT - 1]]
 
     def stands(
         self,
@@ -178,7 +178,7 @@ class NearForces:
         return lack
 
 
-class _Joints:
+class _JointSums:
     """Pushes by block, to pass on from block to block what is not balanced.
 
     Args:
