@@ -80,7 +80,7 @@ _FAR = (0.0, 0.0, 50.0)
 _FIRM_REF = (0.01, 2.0)
 """Between boxes of given size: with a damping of 1, blocks on several others chatter and creep
 sideways, 0.1 mm a second (measured); cubes keep theirs, for the tables."""
-_ASLEEP = 1e-4
+_ASLEEP = 3e-4
 """Boxes of given size fall asleep below this speed [m/s]: at MuJoCo's 1e-3 those that were pressed
 into others (by 0.09 mm, measured) fall asleep before they have come out again."""
 _CUP_REF, _CUP_IMP = (0.01, 1.0), (0.95, 0.99, 0.001, 0.5, 2.0)
