@@ -23,11 +23,13 @@ from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.robot.arm import Arm, arm_model, get_arm
+from learn2assemble.robot.bodies import Part
+from learn2assemble.robot.capsules import capsules_of, in_hand, solid_capsules
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.hand import SHARE, hand_limits
 from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.moves import Move
-from learn2assemble.robot.pair import ArmPair
+from learn2assemble.robot.sweeps import clear, sweep
 
 ARMS = (SiteArm("one", "panda"), SiteArm("two", "ur5e"))
 
@@ -97,7 +99,6 @@ def test_a_hand_gives_nothing_that_cup_payload_or_joints_could_not(name: str) ->
 def test_two_arms_meet_where_their_hands_do() -> None:
     one = get_arm("panda", "suction", (-0.5, 0.0, 0.0, 0.0))
     other = get_arm("panda", "suction", (0.5, 0.0, 0.0, math.pi))
-    pair = ArmPair(one, other, 0.012)
     down = Attitude().rotation()
 
     def joints(arm: Arm, x: float) -> np.ndarray:
@@ -105,15 +106,19 @@ def test_two_arms_meet_where_their_hands_do() -> None:
         assert found.ok
         return found.joints
 
-    assert not pair.meet([joints(one, -0.2)], joints(other, 0.2))
-    assert pair.meet([joints(one, -0.02)], joints(other, 0.02))
-    # A block of 0.2 m between hands that are 0.3 m apart.
-    apart = joints(one, -0.15), joints(other, 0.15)
-    assert not pair.meet([apart[0]], apart[1])
-    pair.carry([(np.array([0.0, 0.0, 0.0]), np.eye(3), np.array([0.3, 0.3, 0.05]))])
-    assert pair.meet([apart[0]], apart[1])
-    pair.carry()
-    assert not pair.meet([apart[0]], apart[1])
+    def meet(x: float, y: float, held: float | None = None) -> bool:
+        mine = capsules_of(one)
+        if held is not None:
+            box = Part((0.0, 0.0, 0.0), (held, held, 0.05))
+            mine = mine.add(in_hand(one, solid_capsules([box], np.zeros(3), np.eye(3))))
+        there = sweep(other, capsules_of(other), joints(other, y)[None])
+        return not clear(sweep(one, mine, joints(one, x)[None]), there, 0.012)
+
+    assert not meet(-0.2, 0.2)
+    assert meet(-0.02, 0.02)
+    # A block of 0.6 m between hands that are 0.3 m apart.
+    assert not meet(-0.15, 0.15)
+    assert meet(-0.15, 0.15, 0.3)
 
 
 # ---------------------------------------------------------------- the cell as data

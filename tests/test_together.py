@@ -41,7 +41,7 @@ def motion(stage: str, start: np.ndarray, end: np.ndarray) -> Motion:
     return Motion(stage, np.linspace(0, 1, 9), joints, np.zeros_like(joints))
 
 
-def course(arm: Arm, corners: list[np.ndarray]) -> Route:
+def route(arm: Arm, corners: list[np.ndarray]) -> Route:
     """From home through some corners and back, a leg each."""
     stops = [arm.home, *corners, arm.home]
     legs = tuple(
@@ -93,13 +93,13 @@ def test_whatever_happens_when_both_come_to_their_ends(seed: int) -> None:
                     assert not traffic.stuck(who)
             elif jobs[who]:
                 corners = jobs[who][0]
-                if traffic.announce(who, course(arm, corners)):
+                if traffic.announce(who, route(arm, corners)):
                     stops = [arm.home, *jobs[who].pop(0), arm.home]
                     left[who] = [
                         motion(f"leg {k}", stops[k], stops[k + 1]) for k in range(len(stops) - 1)
                     ]
                     progress = True
-                elif traffic.other(who).course is None:
+                elif traffic.other(who).route is None:
                     # Not even alone: the other arm stands there.
                     jobs[who].pop(0)
                     skipped += 1

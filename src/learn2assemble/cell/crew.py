@@ -32,19 +32,21 @@ from learn2assemble.cell.world import (
 )
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.planning.crew import Bringing
+from learn2assemble.robot.bodies import Part
+from learn2assemble.robot.capsules import capsules_of, in_hand, solid_capsules
 from learn2assemble.robot.grasps import FIRST
 from learn2assemble.robot.hand import hand_limits
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Attempt, Move, carried, turned
-from learn2assemble.robot.pair import ArmPair, Carried
+from learn2assemble.robot.sweeps import Sweep, clear, sweep
 from learn2assemble.statics.states import State
 
 APART = 0.012
 """What arms keep from one another where one holds [m]."""
 MOST_GRIPS = 8
+"""Grasps of an arm that are offered for a block."""
 LIP_ROOM = 0.002
 """Between the lip of a cup that is moved aside and the edges of a face [m]."""
-"""Grasps of an arm that are offered for a block."""
 LEANING = 0.02
 """A joint leans where the height of its normal is neither 0 nor 1 by more."""
 
@@ -59,10 +61,10 @@ class Reached(NamedTuple):
     move: Move
     joints: np.ndarray
     """float64[n], with the block in its place [rad]."""
-    ways: np.ndarray
-    """float64[k, n]: over the block and over its place [rad]."""
-    block: Carried
-    """As it hangs in the hand."""
+    ways: tuple[Sweep, ...]
+    """Of the arm with the block, over its place and over where it waits."""
+    stands: Sweep
+    """The arm alone, where it is then."""
     hand: Hand
 
 
@@ -93,12 +95,11 @@ class ArmCrew:
             pieces = with_rests(pieces_of(whole), job.arm)
             job = replace(job, pieces=pieces, assembly=whole)
             self.worlds.append(WorkcellBlocks(job))
-            self._begin = [(list(w.state), w.pose.copy()) for w in self.worlds]
             self.cells.append(KinematicCell(job.arm, cells_of(job)))
+        self._begin = [(list(w.state), w.pose.copy()) for w in self.worlds]
         self._contacts: Contacts = find_contacts(whole)
         steep = np.abs(self._contacts.normal[:, 2])
         self._leans = bool(((steep > LEANING) & (steep < 1 - LEANING)).any())
-        self._pairs: dict[tuple[int, int], ArmPair] = {}
         self._holding: dict[bytes, Reached] = {}
         """By the hand, how the arm holds."""
         self._known: dict[tuple[int, int, bytes], list[Reached]] = {}
@@ -204,25 +205,25 @@ class ArmCrew:
         cells = rows.scene.members(move.cell)
         place, quaternion = carried(rows.scene, move, cells)
         tool, point = move.place.rotation(), move.place.tool_point(move.target)
-        axes = np.array([tool.T @ quaternion_matrix(q) for q in quaternion])
-        offset = (place - point) @ tool
-        boxes = [
-            (offset[k], axes[k], rows.scene.halves[cell]) for k, cell in enumerate(cells.tolist())
-        ]
+        held = capsules_of(member.job.arm)
+        for centre, turn, cell in zip(place, quaternion, cells.tolist(), strict=True):
+            box = Part((0.0, 0.0, 0.0), tuple(rows.scene.halves[cell].tolist()))
+            axes = tool.T @ quaternion_matrix(turn)
+            block = solid_capsules([box], tool.T @ (centre - point), axes)
+            held = held.add(in_hand(member.job.arm, block))
         at, limits, most = hand_limits(member.job.arm, move, found.place[0])
         hand = Hand.within(at.tolist(), limits, most, member.name)
-        ways = np.vstack([found.place, found.pick])
-        part = int(rows.part[move.cell])
-        return Reached(number, part, move, found.place[0], ways, boxes, hand)
+        arm, part = member.job.arm, int(rows.part[move.cell])
+        ways = tuple(sweep(arm, held, way) for way in (found.place, found.pick))
+        stands = sweep(arm, capsules_of(arm), found.place[:1])
+        return Reached(number, part, move, found.place[0], ways, stands, hand)
 
     def _clear(self, found: Reached, block: int, state: State) -> bool:
         """Whether an arm comes past those that hold, and these could let go then."""
         after = state.change(place=[block])
         for held, hand in state.hands.items():
             other = self._holding[hand.key]
-            pair = self._pair(found.member, other.member)
-            pair.carry(found.block)
-            if pair.meet(found.ways, other.joints):
+            if not all(clear(way, other.stands, APART) for way in found.ways):
                 self.why[block] = f"{hand.name}, which holds, is in the way"
                 return False
             if not self._lets_go(held, other, found, after):
@@ -240,15 +241,8 @@ class ArmCrew:
         left = cell.let_go(rows.scene, still)
         if left.place is None:
             return False
-        pair = self._pair(other.member, found.member)
-        pair.carry()
-        return not pair.meet(left.place, found.joints)
-
-    def _pair(self, one: int, other: int) -> ArmPair:
-        if (one, other) not in self._pairs:
-            arms = self.members[one].job.arm, self.members[other].job.arm
-            self._pairs[one, other] = ArmPair(*arms, APART)
-        return self._pairs[one, other]
+        arm = self.members[other.member].job.arm
+        return clear(sweep(arm, capsules_of(arm), left.place), found.stands, APART)
 
     def _stand(self, number: int, state: State) -> None:
         """Everything stands where it should that is there, and the rest waits."""

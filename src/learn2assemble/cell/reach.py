@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -396,17 +396,30 @@ def _out_of_reach(name: str, pieces: Sequence[Piece], found: Reach, best: Reach)
 
 def resting(arm: Arm, facing: float, pieces: Sequence[Piece]) -> Arm:
     """The arm with a home pose over everything, between its base and the structure."""
+    way = math.cos(facing), math.sin(facing)
+    places = [(out, up) for up in (0.25, 0.2, 0.15, 0.1) for out in (0.4, 0.35, 0.45, 0.3)]
+    return with_home(arm, way, max(p.top for p in pieces), places)
+
+
+def with_home(
+    arm: Arm, way: tuple[float, float], top: float, places: Iterable[tuple[float, float]]
+) -> Arm:
+    """The arm with another home pose: the first of some places that it reaches, the tool turned as
+    it was; the arm itself where it reaches none.
+
+    Args:
+        way: from the base, a unit vector.
+        top: of what is below [m].
+        places: how far out along the way, and how high above the top, each [m].
+    """
     rotation = forward(get_chain(arm), arm.home)[1]
-    top = max(p.top for p in pieces)
-    way = np.array([math.cos(facing), math.sin(facing)])
-    for above in (0.25, 0.2, 0.15, 0.1):
-        for radius in (0.4, 0.35, 0.45, 0.3):
-            point = np.array([*(arm.base_position[:2] + radius * way), max(top + above, 0.35)])
-            found = solve(arm, point, rotation, arm.home, restarts=RESTARTS)
-            if found.ok:
-                home = found.joints.copy()
-                home.flags.writeable = False
-                return replace(arm, home=home)
+    for out, up in places:
+        point = np.array([*(arm.base_position[:2] + out * np.array(way)), max(top + up, 0.35)])
+        found = solve(arm, point, rotation, arm.home, restarts=RESTARTS)
+        if found.ok:
+            home = found.joints.copy()
+            home.flags.writeable = False
+            return replace(arm, home=home)
     return arm
 
 

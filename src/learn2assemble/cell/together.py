@@ -19,7 +19,7 @@ import numpy as np
 from learn2assemble.cell.arrange import Structure, arrange
 from learn2assemble.cell.building import Building, Prepared
 from learn2assemble.cell.carry_out import setup_of
-from learn2assemble.cell.reach import cells_of, set_up
+from learn2assemble.cell.reach import cells_of, set_up, with_home
 from learn2assemble.cell.report import words_of
 from learn2assemble.cell.site import Obstacle
 from learn2assemble.cell.state import Action, Done
@@ -32,9 +32,7 @@ from learn2assemble.motion.record import BuildRecord
 from learn2assemble.motion.setup import Setup
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
-from learn2assemble.robot.inverse import RESTARTS, solve
 from learn2assemble.robot.kinematic import KinematicCell
-from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.simulation.execution import EMPTY, Execution, straight_motion
 from learn2assemble.simulation.model import Failure, lean_table, rigid_objects
 from learn2assemble.simulation.ways import WorldChecker, free_way
@@ -150,17 +148,9 @@ def opposite(arm: Arm) -> tuple[float, float, float, float]:
 
 def back(job: Job) -> Arm:
     """The arm with a home that leaves the site to the other one: above its own edge of it."""
-    arm, chain = job.arm, get_chain(job.arm)
-    rotation, top = forward(chain, arm.home)[1], max(piece.top for piece in job.pieces)
-    way = -job.base / max(float(np.linalg.norm(job.base)), 1e-9)
-    for radius, above in itertools.product(HOMES, (0.25, 0.15)):
-        point = np.array([*(job.base + radius * way), max(top + above, 0.35)])
-        found = solve(arm, point, rotation, arm.home, restarts=RESTARTS)
-        if found.ok:
-            home = found.joints.copy()
-            home.flags.writeable = False
-            return replace(arm, home=home)
-    return arm
+    x, y = (-job.base / max(float(np.linalg.norm(job.base)), 1e-9)).tolist()
+    places = itertools.product(HOMES, (0.25, 0.15))
+    return with_home(job.arm, (x, y), max(piece.top for piece in job.pieces), places)
 
 
 def occupied(job: Job) -> list[Obstacle]:
@@ -278,15 +268,15 @@ class Together(Generic[Cell]):
 
     def _work(self, who: int, progress: Progress) -> None:
         """What one arm does, attempt by attempt."""
-        course = None
+        route = None
         try:
             self.reasons[who] = self._attempts(who, progress)
         except PlantError as error:
-            self.reasons[who], course = str(error), self.traffic.lanes[who].course
+            self.reasons[who], route = str(error), self.traffic.lanes[who].route
             self.traffic.stopped(who)
         finally:
             self.working[who] = False
-        if course is not None:
+        if route is not None:
             # Whatever became of it, nobody else is to place it.
             self.lost.add(self.moves[who])
 
@@ -369,7 +359,7 @@ class Together(Generic[Cell]):
 
     def _elsewhere(self, who: int) -> set[int]:
         """The block that the other arm moves, and what an arm that was stopped has left."""
-        if self.traffic.other(who).course is None:
+        if self.traffic.other(who).route is None:
             return self.lost
         return self.lost | {self.moves[1 - who]}
 
@@ -377,15 +367,15 @@ class Together(Generic[Cell]):
         """What an arm says before it moves, see :attr:`~.attempt.Attempts.announce`."""
 
         def announce(run: Execution, block: str) -> bool:
-            building, course = self.buildings[who], route_of(run, block)
+            building, route = self.buildings[who], route_of(run, block)
             k = building.world.names.index(block)
-            if self.traffic.announce(who, course):
+            if self.traffic.announce(who, route):
                 self.moves[who] = k
                 return True
             building.known.postponed.add(k)
-            self.tried[who][k] = course
+            self.tried[who][k] = route
             other = self.traffic.other(who)
-            if other.course is None:
+            if other.route is None:
                 other.asked = True
             return False
 

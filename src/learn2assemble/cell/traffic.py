@@ -24,9 +24,9 @@ from learn2assemble.motion.plant import (
     Played,
     Readings,
     Report,
-    Request,
     Stop,
     ToolCommand,
+    WrappedPlant,
     standing,
 )
 from learn2assemble.robot.arm import Arm
@@ -73,12 +73,12 @@ class Lane:
     arm: Arm
     here: Sweep
     """Where it stands, or the leg it is on."""
-    course: Route | None = None
+    route: Route | None = None
     ahead: tuple[Leg, ...] = ()
-    """What is left of its course."""
+    """What is left of its route."""
     stage: str = ""
     """Of the leg it is on, or was."""
-    on_course: bool = True
+    on_route: bool = True
     """Whether it does as it has announced; after a failure it does not."""
     holding: bool = False
     asked: bool = False
@@ -93,7 +93,7 @@ class Lane:
     def swept(self, joints: np.ndarray) -> Sweep:
         """The space it takes up on straight connections of joints float64[k, n] [rad], with what it
         holds."""
-        held = self.course.held if self.holding and self.course is not None else None
+        held = self.route.held if self.holding and self.route is not None else None
         capsules = self.capsules if held is None else self.capsules.add(held)
         return sweep(self.arm, capsules, joints)
 
@@ -117,37 +117,37 @@ class Traffic:
 
     # ------------------------------------------------------------ announcing
 
-    def fits(self, who: int, course: Route) -> bool:
-        """Whether an arm that stands may set out on a course."""
+    def fits(self, who: int, route: Route) -> bool:
+        """Whether an arm that stands may set out on a route."""
         lane, other = self.lanes[who], self.other(who)
-        if other.course is not None:
+        if other.route is not None:
             legs = (other.here, *(leg.swept for leg in other.ahead))
-            if not all(self._clear(one, course.goal, PLANNED) for one in legs):
+            if not all(self._clear(one, route.goal, PLANNED) for one in legs):
                 return False
-            if not all(self._clear(leg.swept, other.course.goal, PLANNED) for leg in course.legs):
+            if not all(self._clear(leg.swept, other.route.goal, PLANNED) for leg in route.legs):
                 return False
-        return self._complete(lane.here.end, course.legs, other.here.end, other.ahead)
+        return self._complete(lane.here.end, route.legs, other.here.end, other.ahead)
 
-    def announce(self, who: int, course: Route) -> bool:
-        """As :meth:`fits`; if so, the course is known from now on."""
-        if not self.fits(who, course):
+    def announce(self, who: int, route: Route) -> bool:
+        """As :meth:`fits`; if so, the route is known from now on."""
+        if not self.fits(who, route):
             return False
         lane = self.lanes[who]
-        lane.course, lane.ahead, lane.on_course, lane.stage = course, course.legs, True, ""
+        lane.route, lane.ahead, lane.on_route, lane.stage = route, route.legs, True, ""
         self.changes += 1
         return True
 
     def over(self, who: int) -> None:
         """What an arm announced is over."""
         lane = self.lanes[who]
-        lane.course, lane.ahead, lane.on_course, lane.holding = None, (), True, False
+        lane.route, lane.ahead, lane.on_route, lane.holding = None, (), True, False
         self.changes += 1
 
     def stopped(self, who: int) -> None:
         """An arm does not move any more; it is somewhere on the leg it was on, with what it
         holds."""
         lane = self.lanes[who]
-        lane.course, lane.ahead, lane.on_course = None, (), False
+        lane.route, lane.ahead, lane.on_route = None, (), False
         self.changes += 1
 
     # ------------------------------------------------------------ moving
@@ -159,19 +159,19 @@ class Traffic:
         if lane.refused == self.changes:
             return False
         swept = lane.swept(np.vstack([motion.joints[:-1:EVERY], motion.joints[-1:]]))
-        ahead, on_course = lane.ahead, lane.on_course
+        ahead, on_route = lane.ahead, lane.on_route
         stages = [leg.stage for leg in ahead]
         if motion.stage in stages:
             ahead = ahead[stages.index(motion.stage) + 1 :]
         elif motion.stage != lane.stage:
-            ahead, on_course = (), False
+            ahead, on_route = (), False
         free = clear(swept, other.here, APART)
-        if free and on_course:
+        if free and on_route:
             free = self._complete(swept.end, ahead, other.here.end, other.ahead)
         if not free:
             lane.refused = self.changes
             return False
-        lane.here, lane.ahead, lane.on_course, lane.stage = swept, ahead, on_course, motion.stage
+        lane.here, lane.ahead, lane.on_route, lane.stage = swept, ahead, on_route, motion.stage
         self.changes += 1
         return True
 
@@ -184,13 +184,13 @@ class Traffic:
 
     def stuck(self, who: int) -> bool:
         """Whether an arm that was told to wait would wait for ever; of two that wait for each other
-        the one that is on its course gives way."""
+        the one that is on its route gives way."""
         lane, other = self.lanes[who], self.other(who)
         if lane.refused != self.changes:
             return False
-        if other.course is None:
+        if other.route is None:
             return True
-        return other.refused == self.changes and (lane.on_course or not other.on_course)
+        return other.refused == self.changes and (lane.on_route or not other.on_route)
 
     # ------------------------------------------------------------ what follows
 
@@ -222,7 +222,7 @@ class Traffic:
         return self._known[key][0]
 
 
-class ArmInTraffic:
+class ArmInTraffic(WrappedPlant):
     """A plant that moves when it may.
 
     Args:
@@ -232,16 +232,17 @@ class ArmInTraffic:
     """
 
     def __init__(self, plant: Plant, traffic: Traffic, who: int) -> None:
-        self.plant, self.traffic, self.who = plant, traffic, who
+        super().__init__(plant)
+        self.traffic, self.who = traffic, who
         self.waited = 0.0
         """For the other arm, all in all [s]."""
 
     def sense(self) -> Readings:
         """What is sensed, but what the other arm moves."""
-        found, course = self.plant.sense(), self.traffic.other(self.who).course
-        if course is None:
+        found, route = self.plant.sense(), self.traffic.other(self.who).route
+        if route is None:
             return found
-        return found._replace(blocks=tuple(b for b in found.blocks if b.block != course.block))
+        return found._replace(blocks=tuple(b for b in found.blocks if b.block != route.block))
 
     def execute(
         self,
@@ -274,18 +275,6 @@ class ArmInTraffic:
         if moves or holding != lane.holding:
             self.traffic.stands(self.who, report.joints, holding)
         return _joined([*waited, report], done=report.done)
-
-    def request(self, request: Request) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        return self.plant.request(request)
-
-    def stop(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        self.plant.stop()
-
-    def close(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        self.plant.close()
 
 
 def _joined(reports: Sequence[Report], done: float) -> Report:

@@ -33,6 +33,7 @@ from learn2assemble.motion.plant import (
     Request,
     Stop,
     ToolCommand,
+    WrappedPlant,
     standing,
 )
 from learn2assemble.motion.safety import Guarded
@@ -89,7 +90,7 @@ class Ran(NamedTuple):
         return round(self.seconds / self.blocks, 2) if self.blocks else None
 
 
-class _Timed:
+class _Timed(WrappedPlant):
     """A plant, and how long it takes.
 
     Args:
@@ -97,7 +98,7 @@ class _Timed:
     """
 
     def __init__(self, plant: Plant) -> None:
-        self.plant = plant
+        super().__init__(plant)
         self.motions = self.looks = 0
         self.moving = self.took = self.waited = 0.0
         self.first = self.last = -1.0
@@ -124,18 +125,6 @@ class _Timed:
             self.moving += motion.seconds
             self.took += report.seconds
         return report
-
-    def request(self, request: Request) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        return self.plant.request(request)
-
-    def stop(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        self.plant.stop()
-
-    def close(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        self.plant.close()
 
     def link(self, plant: Plant) -> Link:
         """The figures; the plant may know more."""

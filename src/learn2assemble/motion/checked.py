@@ -21,6 +21,7 @@ from learn2assemble.motion.plant import (
     Stop,
     ToolCommand,
     ToolReading,
+    WrappedPlant,
 )
 
 CLOCK_SLACK = 1e-6
@@ -29,7 +30,7 @@ SYMMETRY = 1e-9
 """Covariances are symmetric, and their eigenvalues not negative, but for this share."""
 
 
-class Checked:
+class Checked(WrappedPlant):
     """A plant whose answers are looked at before anyone sees them: names, shapes, finite numbers,
     unit quaternions, covariances that are some, a clock that does not go back, readings that are
     not older than ``oldest``. What makes no sense stops the arm and raises.
@@ -53,7 +54,8 @@ class Checked:
         names: Collection[str],
         oldest: float = math.inf,
     ) -> None:
-        self.plant, self.arm, self.count, self.names = plant, arm, joints, names
+        super().__init__(plant)
+        self.arm, self.count, self.names = arm, joints, names
         self.oldest, self.clock = oldest, -math.inf
 
     def sense(self) -> Readings:
@@ -78,14 +80,6 @@ class Checked:
     def request(self, request: Request) -> Report:
         """See :class:`Plant`."""
         return self._reported(self._asked(self.plant.request, request))
-
-    def stop(self) -> None:
-        """See :class:`Plant`."""
-        self.plant.stop()
-
-    def close(self) -> None:
-        """See :class:`Plant`."""
-        self.plant.close()
 
     def _asked(self, method: Callable[..., Any], *given: object) -> Any:
         """Its answer, whatever the plant is; errors of the connection as ours."""

@@ -280,6 +280,42 @@ class Plant(Protocol):
         ...
 
 
+class WrappedPlant:
+    """A plant that stands before another one, and passes on what it has nothing to say about.
+
+    Args:
+        plant: the one behind it.
+    """
+
+    def __init__(self, plant: Plant) -> None:
+        self.plant = plant
+
+    def sense(self) -> Readings:
+        """See :class:`Plant`."""
+        return self.plant.sense()
+
+    def execute(
+        self,
+        motion: Motion,
+        commands: Sequence[ToolCommand] = (),
+        guards: Sequence[Guard] = (),
+    ) -> Report:
+        """See :class:`Plant`."""
+        return self.plant.execute(motion, commands, guards)
+
+    def request(self, request: Request) -> Report:
+        """See :class:`Plant`."""
+        return self.plant.request(request)
+
+    def stop(self) -> None:
+        """See :class:`Plant`."""
+        self.plant.stop()
+
+    def close(self) -> None:
+        """See :class:`Plant`."""
+        self.plant.close()
+
+
 class PlantError(Learn2AssembleError):
     """A plant answered what cannot be, or not at all; the arm was told to stop.
 

@@ -20,11 +20,10 @@ from learn2assemble.motion.plant import (
     Guard,
     Motion,
     Plant,
-    Readings,
     Report,
-    Request,
     Stop,
     ToolCommand,
+    WrappedPlant,
 )
 from learn2assemble.robot.arm import Arm, arm_spec
 from learn2assemble.robot.kinematics import forward_many, get_chain
@@ -250,7 +249,7 @@ def _moves(model: mujoco.MjModel, body: int, first: set[int]) -> bool:
     return False
 
 
-class Guarded:
+class Guarded(WrappedPlant):
     """A plant that is told nothing that breaks the rules.
 
     Args:
@@ -266,16 +265,8 @@ class Guarded:
     def __init__(self, plant: Plant, arm: Arm, safety: Safety, speed: float = 1.0) -> None:
         if not 0 < speed <= 1:
             raise InputError("speed", speed, "a share, above 0 and at most 1")
-        self.plant, self.rules, self.safety, self.speed = (
-            plant,
-            SafetyRules(arm, safety),
-            safety,
-            speed,
-        )
-
-    def sense(self) -> Readings:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        return self.plant.sense()
+        super().__init__(plant)
+        self.rules, self.safety, self.speed = SafetyRules(arm, safety), safety, speed
 
     def execute(
         self,
@@ -314,15 +305,3 @@ class Guarded:
             )
             for one in (*first, *guards)
         ]
-
-    def request(self, request: Request) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        return self.plant.request(request)
-
-    def stop(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        self.plant.stop()
-
-    def close(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        self.plant.close()

@@ -23,6 +23,7 @@ from learn2assemble.motion.plant import (
     Request,
     Stop,
     ToolCommand,
+    WrappedPlant,
 )
 from learn2assemble.motion.setup import Setup
 from learn2assemble.robot.bodies import body_of
@@ -34,7 +35,7 @@ WITHIN = 0.02
 """The tool has taken the block whose bounding box is nearest to its point, within this [m]."""
 
 
-class Trusted:
+class Trusted(WrappedPlant):
     """A plant that sees no blocks, with readings of where they were put.
 
     Args:
@@ -43,7 +44,8 @@ class Trusted:
     """
 
     def __init__(self, plant: Plant, setup: Setup) -> None:
-        self.plant, self.setup, self.chain = plant, setup, get_chain(setup.arm)
+        super().__init__(plant)
+        self.setup, self.chain = setup, get_chain(setup.arm)
         self.poses = {name: pose.copy() for name, pose in setup.waiting.items()}
         self.kinds = {name: name for name in setup.waiting}
         self.joined: dict[str, str] = {}
@@ -138,14 +140,6 @@ class Trusted:
                 self._emptied = forward(self.chain, self.plant.sense().joints)[0]
             self.held.pop(request.block, None)
         return report
-
-    def stop(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        self.plant.stop()
-
-    def close(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        self.plant.close()
 
     def state(self) -> dict[str, Any]:
         """What the file of a build keeps, from which another one goes on; what is in the hand then

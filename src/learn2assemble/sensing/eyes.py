@@ -26,6 +26,7 @@ from learn2assemble.motion.plant import (
     Stop,
     ToolCommand,
     ToolReading,
+    WrappedPlant,
 )
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.bodies import Shape, body_of
@@ -58,7 +59,7 @@ class Sort(NamedTuple):
     """Rotations float64[3, 3] that leave the shape as it is, the one that does nothing first."""
 
 
-class SeeingPlant:
+class SeeingPlant(WrappedPlant):
     """A plant whose blocks are seen by cameras.
 
     Args:
@@ -81,7 +82,8 @@ class SeeingPlant:
         waiting: Mapping[str, np.ndarray],
         fixed: Sequence[tuple[Shape, np.ndarray]] = (),
     ) -> None:
-        self.plant, self.cameras, self.pictures = plant, tuple(cameras), pictures
+        super().__init__(plant)
+        self.cameras, self.pictures = tuple(cameras), pictures
         self.arm, self.chain, self.sorts, self.fixed = arm, get_chain(arm), sorts, tuple(fixed)
         self.kind = {name: name for name in waiting}
         """Names in the plan of the blocks that there are."""
@@ -140,14 +142,6 @@ class SeeingPlant:
                 kept = tuple(one for one in self.last[1] if one.block != request.block)
                 self.last = self.last[0], kept
         return report
-
-    def stop(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        self.plant.stop()
-
-    def close(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        self.plant.close()
 
     def state(self) -> dict[str, Any]:
         """What the file of a build keeps, from which another one goes on; what is in the hand then
