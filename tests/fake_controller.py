@@ -290,7 +290,8 @@ class FakeProcess:
         if not line:
             raise RuntimeError("the fake controller did not begin")
         self.ports: dict[str, int] = json.loads(line)
-        self.socket = socket.create_connection(("127.0.0.1", self.ports["control"]), 10)
+        # Minutes, as a cell with a hundred blocks may take long to change on a busy machine.
+        self.socket = socket.create_connection(("127.0.0.1", self.ports["control"]), 300)
         self.lines = self.socket.makefile("rw")
 
     def ask(self, op: str, **given: Any) -> dict[str, Any]:

@@ -78,14 +78,29 @@ def test_who_looks_twice_at_once_sees_the_same() -> None:
 
 
 def test_readings_are_missing_late_and_far_off_as_often_as_asked() -> None:
-    noise = Noise(1e-4, 1e-3, missing=0.2, outliers=0.1, late=0.1)
+    """A block that moves on by a metre from picture to picture, so that every reading shows of
+    which one it is."""
+    noise = Noise(1e-4, 1e-3, missing=0.2, outliers=0.1, late=0.15)
     pictures = Pictures(Chances(Simulated(noise=noise)))
-    seen = [one for k in range(1000) for one in pictures.look(k * PERIOD, {"a": PLACE})]
+    seen = []
+    for k in range(1000):
+        pose = PLACE.copy()
+        pose[0] = k
+        seen += [(k, one) for one in pictures.look(k * PERIOD, {"a": pose})]
     assert 0.75 < len(seen) / 1000 < 0.85
-    far = np.mean([np.linalg.norm(one.pose[:3] - PLACE[:3]) > 0.01 for one in seen])
-    assert 0.07 < far < 0.13
-    late = np.mean([abs(one.time / PERIOD % 1) < 1e-9 and one.time < 0 for one in seen])
-    assert late == 0
+    shown = [round(float(one.pose[0])) for _, one in seen]
+    # A reading says of which moment it is, and shows where the block was then.
+    assert [round(one.time / PERIOD) for _, one in seen] == shown
+    late = [k - then for (k, _), then in zip(seen, shown, strict=True)]
+    assert set(late) == {0, 1}
+    assert 0.12 < np.mean(late) < 0.18
+    off = [
+        math.hypot(one.pose[0] - then, one.pose[1] - PLACE[1])
+        for (_, one), then in zip(seen, shown, strict=True)
+    ]
+    assert 0.07 < np.mean(np.array(off) > 0.01) < 0.13
+    # Noise of readings that are not far off.
+    assert np.quantile(off, 0.8) < 1e-3
 
 
 def test_blocks_are_as_heavy_and_high_as_drawn_whatever_else_is_drawn() -> None:

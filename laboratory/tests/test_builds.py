@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from l2a_lab import builds
 from l2a_lab.measured import measure
+from learn2assemble.assembly.kit import load_kit
+from learn2assemble.cell.carry_out import Workcell, prepare
+from learn2assemble.cell.report import deepest_overlap
+from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
+from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.robot.bodies import Part, solids
 
 
 def test_every_measurement_has_a_name_of_its_own() -> None:
@@ -64,3 +72,28 @@ def test_a_small_example_is_built_and_its_program_played() -> None:
     assert found["program"]["same"]
     assert found["program"]["worst"] < 2e-3
     assert found["attempts_per_step"] >= 1
+
+
+def test_contacts_give_more_under_more_weight() -> None:
+    """By Hooke, as long as they give by little: that is what blocks at rest are in one another."""
+    gives = []
+    for count in (2, 4):
+        cells = np.ones((1, 1, 2 * count), bool)
+        kit = load_kit("cubes").at_pitch((0.04, 0.04, 0.04))
+        design = CellDesign("tower", cells, kit.pitch, None, 0.0, None, "", None)
+        plan = plan_cells(design, kit)
+        job = prepare(plan, Workcell("ur5e", "suction"), kit.joint_gap).job
+        found = builds._gives(job)
+        assert found is not None
+        gives.append(found)
+    assert 0 < gives[0] < gives[1] < 1e-4
+
+
+def test_the_deepest_overlap_is_that_of_the_nearest_two() -> None:
+    box = (Part((0.0, 0.0, 0.0), (0.01, 0.01, 0.01)),)
+    poses = [np.array([x, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]) for x in (0.0, 0.0197, 0.1)]
+    bodies = [solids(box, pose) for pose in poses]
+    overlap = deepest_overlap(bodies)
+    assert overlap is not None
+    assert math.isclose(overlap, 3e-4, abs_tol=1e-9)
+    assert deepest_overlap(bodies[1:]) is None

@@ -31,13 +31,20 @@ from learn2assemble.cell.carry_out import (
     prepare,
     setup_of,
 )
+from learn2assemble.cell.report import deepest_overlap
 from learn2assemble.cell.site import Site
+from learn2assemble.cell.workcell import Job
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.read import read_design
+from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.setup import Disturbance, Noise
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.robot.arm import Arm, get_arm
+from learn2assemble.robot.bodies import solids
+from learn2assemble.robot.moves import Scene
+from learn2assemble.simulation.cell import DynamicCell
 from learn2assemble.simulation.plant import DynamicPlant
 from learn2assemble.values import to_plain
 
@@ -250,7 +257,7 @@ def _inexact(kind: str, what: str, arm: str, last: str) -> Result:
     plant = DynamicPlant(setup_of(found.job, at, found.structure))
     done = carry_out(plan, at, joint=kit.joint_gap, found=found, plant=plant)
     result = _described(done, planned - started, time.process_time() - planned)
-    return result | {"pressed_N": round(plant.hardest, 2)}
+    return result | {"pressed_N": round(plant.hardest, 2), "gives": _gives(found.job)}
 
 
 def _given(what: str, arm: str, tool: str) -> Result:
@@ -328,10 +335,6 @@ def _described(plan: Plan, planning: float, building: float) -> Result:
 
 def _settled(plan: Plan) -> float:
     """How far a block moves when all of a finished structure are let go at once [m]."""
-    from learn2assemble.robot.arm import get_arm
-    from learn2assemble.robot.moves import Scene
-    from learn2assemble.simulation.cell import DynamicCell
-
     record = plan.record
     assert record is not None
     pose = record.steps[-1].after
@@ -354,10 +357,43 @@ def _settled(plan: Plan) -> float:
     )
     x, y, z = record.arm.base_position.tolist()
     base = x, y, z, record.arm.base_yaw
-    cell = DynamicCell(get_arm(record.arm.name, record.arm.tool_name, base))
-    after, _, still = cell.settle(scene)
+    after, still = _let_go(scene, get_arm(record.arm.name, record.arm.tool_name, base))
     moved = float(np.linalg.norm(after.position - scene.position, axis=1).max())
     return round(moved, 6) if still else math.inf
+
+
+def _gives(job: Job) -> float | None:
+    """How deep blocks are in one another where all are let go at the places where they are drawn
+    [m]: by so much contacts of the simulation give under the weight of this structure."""
+    kept = [piece for piece in job.pieces if not piece.prop]
+    parts = [(n, piece, part) for n, piece in enumerate(kept) for part in piece.shape]
+    turns = np.array([piece.pose[3:] for _, piece, _ in parts])
+    hull = tuple(part.hull for *_, part in parts)
+    scene = Scene(
+        np.array([piece.target + piece.turn @ np.array(part.centre) for _, piece, part in parts]),
+        np.zeros(len(parts)),
+        np.array([n for n, *_ in parts]),
+        len(parts),
+        np.array([part.half for *_, part in parts]),
+        np.array([piece.density for _, piece, _ in parts]),
+        turns,
+        hull if any(hull) else None,
+    )
+    after, _ = _let_go(scene, job.arm)
+    first = [[n for n, *_ in parts].index(k) for k in range(len(kept))]
+    bodies = []
+    for row, piece in zip(first, kept, strict=True):
+        turn = after.orientation[row]
+        centre = quaternion_matrix(turn) @ np.array(piece.shape[0].centre)
+        bodies.append(solids(piece.shape, np.array([*(after.position[row] - centre), *turn])))
+    deepest = deepest_overlap(bodies)
+    return None if deepest is None else round(deepest, 6)
+
+
+def _let_go(scene: Scene, arm: Arm) -> tuple[Scene, bool]:
+    """Blocks of a scene when they have come to rest, and whether they have."""
+    after, turns, still = DynamicCell(arm).settle(scene)
+    return after._replace(quaternion=turns), still
 
 
 def _program(plan: Plan) -> Result:
@@ -425,6 +461,8 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
             deep = max((one.get("overlap") or 0 for one in group.values()), default=0)
             hard = max((one.get("pressed_N") or 0 for one in group.values()), default=0)
             words += f"; off by {1e3 * worst:.2f} mm, into another {1e3 * deep:.3f} mm at most"
+            gives = max((one.get("gives") or 0 for one in group.values()), default=0)
+            words += f" (contacts give by {1e3 * gives:.3f} mm)" if gives else ""
             if key == "guarded":
                 there = max((one.get("error_on_table") or 0 for one in group.values()), default=0)
                 words += f", on the table as it is by {1e3 * there:.2f} mm"

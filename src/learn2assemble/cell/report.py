@@ -6,7 +6,7 @@ build is over; whoever decides has seen none of it.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from learn2assemble.geometry.hulls import separation
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.planning.plan import ArmFailure, ArmReport, Plan, Step
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.bodies import solids
+from learn2assemble.robot.bodies import Solid, solids
 from learn2assemble.robot.moves import Outcome
 
 EXACT = 1e-6
@@ -132,18 +132,9 @@ def measure(building: Building, plant: object) -> Measured:
         off = np.array([poses[k][:3] for k in there]) - meant
         worst = round(float(np.linalg.norm(off, axis=1).max()), 6)
     belief = [float(np.linalg.norm(poses[k][:3] - world.pose[k, :3])) for k in there]
-    deepest = -math.inf
-    bodies = {k: solids(shapes.get(world.names[k], world.pieces[k].shape), poses[k]) for k in there}
-    ends = {
-        k: (np.min([b[0].min(0) for b in body], 0), np.max([b[0].max(0) for b in body], 0))
-        for k, body in bodies.items()
-    }
-    for number, k in enumerate(there):
-        for n in there[number + 1 :]:
-            if (ends[n][0] < ends[k][1] + 1e-3).all() and (ends[n][1] > ends[k][0] - 1e-3).all():
-                gaps = (separation(a, b)[0] for a in bodies[k] for b in bodies[n])
-                deepest = max(deepest, -min(gaps))
-    overlap = None if deepest == -math.inf else round(deepest, 6)
+    bodies = [solids(shapes.get(world.names[k], world.pieces[k].shape), poses[k]) for k in there]
+    deepest = deepest_overlap(bodies)
+    overlap = None if deepest is None else round(deepest, 6)
     return Measured(
         round(float(np.mean(errors)), 6),
         round(max(errors), 6),
@@ -151,6 +142,28 @@ def measure(building: Building, plant: object) -> Measured:
         overlap,
         worst,
     )
+
+
+def deepest_overlap(bodies: Sequence[list[Solid]]) -> float | None:
+    """By which two blocks overlap at most [m], below 0 where there is room between all of them;
+    None where no two are within a millimetre of each other.
+
+    Args:
+        bodies: the parts of every block where it is, see :func:`~.bodies.solids`.
+    """
+    ends = [
+        (np.min([part[0].min(0) for part in body], 0), np.max([part[0].max(0) for part in body], 0))
+        for body in bodies
+    ]
+    deepest = [
+        -separation(a, b)[0]
+        for n, (one, (low, high)) in enumerate(zip(bodies, ends, strict=True))
+        for other, (least, most) in zip(bodies[n + 1 :], ends[n + 1 :], strict=True)
+        if (least < high + 1e-3).all() and (most > low - 1e-3).all()
+        for a in one
+        for b in other
+    ]
+    return max(deepest, default=None)
 
 
 def _pitch(job: Job) -> float:
