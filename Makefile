@@ -40,11 +40,14 @@ lint: $(STAMP)
 docs: $(STAMP)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
+# A process for every core; a process that is done takes over tests of the others.
+PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
+
 test: lint docs
-	$(BIN)/python -m pytest
+	$(PYTEST)
 
 test-product test-tasks test-laboratory: $(STAMP)
-	$(BIN)/python -m pytest -m $(subst test-,,$@)
+	$(PYTEST) -m $(subst test-,,$@)
 
 clean:
 	rm -rf $(VENV) out runs build dist

@@ -8,6 +8,7 @@ then goes on to the end of the motion that was sent, and stands.
 from __future__ import annotations
 
 import contextlib
+import logging
 import re
 import threading
 import time
@@ -77,6 +78,8 @@ class RosPlant(WatchingController):
         self._came = threading.Condition()
         self._goal: Any = ""
         self._result = _Result()
+        # What goes wrong is told in one line, by us; whoever listens to logs hears it as before.
+        logging.getLogger("twisted").addHandler(logging.NullHandler())
         self._ros: Any = roslibpy.Ros(self.place.host, self.place.port, transport="twisted")
         try:
             self._ros.run(CONNECT)
