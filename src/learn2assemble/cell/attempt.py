@@ -65,6 +65,8 @@ class Ahead(NamedTuple):
     waits above that; None: at home."""
     height: float = UNCERTAIN
     """Standard deviation of the height of what carries the block in its place [m]."""
+    home: np.ndarray | None = None
+    """float64[7]: where knobs draw the block once it is pressed on them; None: there are none."""
 
 
 NOTHING_AHEAD = Ahead()
@@ -97,10 +99,14 @@ class AttemptSenses:
         order: what is asked.
         rows: of its scene.
         moving: the piece that is moved.
+        home: as :attr:`Ahead.home`.
     """
 
-    def __init__(self, sight: Sight, order: Order, rows: Rows, moving: int) -> None:
+    def __init__(
+        self, sight: Sight, order: Order, rows: Rows, moving: int, home: np.ndarray | None
+    ) -> None:
         self.sight, self.order, self.rows, self.moving = sight, order, rows, moving
+        self.home = home
         self.name = sight.world.names[moving]
         self.run: Execution | None = None
 
@@ -157,15 +163,14 @@ class AttemptSenses:
         What was pressed on studs and met its resistance at the height of its place is home: studs
         draw it there.
         """
-        run, world = self.run, self.sight.world
+        run, home = self.run, self.home
         assert run is not None
         self.sight.let_go()
         known = self.sight.belief.known.get(self.name)
-        if known is None or not (run.landed and run.press()):
+        if known is None or home is None or not (run.landed and run.press()):
             return
-        place = world.target(self.moving)
-        if abs(known.pose[2] - place[2]) < HOME_HEIGHT:
-            self.sight.rests(self.name, Estimate(place, HOME))
+        if abs(known.pose[2] - home[2]) < HOME_HEIGHT:
+            self.sight.rests(self.name, Estimate(home, HOME))
 
     def lost(self) -> None:
         """See :class:`~learn2assemble.simulation.execution.Senses`."""
@@ -215,7 +220,7 @@ class Attempts:
             course, world = self._course(order, joints, ahead.following)
         except Failure as failure:
             return Came(failure.outcome, failure.stage, failure.detail, joints)
-        senses = AttemptSenses(self.sight, order, rows, k)
+        senses = AttemptSenses(self.sight, order, rows, k, ahead.home)
         arm = self.job.arm
         limits = arm.bounds.scaled(0.8), arm.bounds.scaled(0.6)
         if self.planner is not None:

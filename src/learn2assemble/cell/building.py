@@ -194,7 +194,8 @@ class Building:
             if presented and action.source is not None:
                 following = self._following(k, action.source)
             height = self.known.height(k) if placing else UNCERTAIN
-            ahead = Ahead(following, height)
+            home = self.known.home(k, action.group) if placing else None
+            ahead = Ahead(following, height, home)
             came = self.attempts.carry_out(rows, move, k, self.joints, ahead)
         except PlantError as error:
             lost, came = error, self._interrupted(rows, move, k, error)

@@ -120,10 +120,11 @@ class Fitting:
 
     Args:
         world: where they are believed to be, and how well that is known.
+        studs: whether they are pressed on knobs, which draw each to its place on those below.
     """
 
-    def __init__(self, world: WorkcellBlocks) -> None:
-        self.world = world
+    def __init__(self, world: WorkcellBlocks, studs: bool = False) -> None:
+        self.world, self.studs = world, studs
         self._near: dict[int, tuple[Corner, ...]] = {}
 
     def near(self, k: int) -> tuple[Corner, ...]:
@@ -148,16 +149,35 @@ class Fitting:
             float64[7]: in its own orientation, shifted with what carries it, and between those
             beside it.
         """
-        goal, beds, off = self.world.target(k), list[np.ndarray](), list[float]()
+        goal = self.home(k, standing) if self.studs else self.world.target(k)
+        beds, off = list[np.ndarray](), list[float]()
         for near in self.facing(k):
             if near.other in standing and near.way[2] < -LEANING:
                 beds.append(near.way)
                 off.append(float(np.mean(self.moved(near) @ near.way)))
-        if beds:
+        if beds and not self.studs:
             goal[:3] += np.linalg.pinv(np.array(beds), rcond=1e-3) @ np.array(off)
         shift = goal[:3] - self.world.target(k)[:3]
         goal[:3] += self._aside(k, set(standing), set(coming), shift)
         return goal
+
+    def home(self, k: int, standing: Collection[int]) -> np.ndarray:
+        """float64[7]: where knobs draw a brick that is pressed on those that stand below it; as it
+        is drawn where there are none."""
+        goal = self.world.target(k)
+        below = {n.other for n in self.facing(k) if n.way[2] < -LEANING} & set(standing)
+        if not below:
+            return goal
+        steps = []
+        for other in sorted(below):
+            meant = self.world.target(other)
+            step = self._step(other, meant)
+            arm = goal[:3] - meant[:3]
+            step[:3] += rotation_of(step[3:]) @ arm - arm
+            steps.append(step)
+        step = np.mean(steps, 0)
+        turn = rotation_of(step[3:]) @ quaternion_matrix(goal[3:])
+        return np.array([*(goal[:3] + step[:3]), *matrix_quaternion(turn)])
 
     def table(self, standing: Collection[int]) -> np.ndarray:
         """float64[3]: how the table is, as blocks that stand on it say: its height at the origin

@@ -7,6 +7,7 @@ against what they hold.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
@@ -21,6 +22,7 @@ from learn2assemble.cell.belief import (
     fused,
     moved_on,
     read,
+    step_between,
 )
 from learn2assemble.cell.world import LOOSE, LOST, MISSING, STANDING, WorkcellBlocks
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
@@ -39,6 +41,8 @@ SHIFT, SHIFT_TURN = 1e-4, 2e-3
 """By which a block may move when it is taken or let go: standard deviations [m], [rad]."""
 FLUSH, FLUSH_TURN = 1e-4, 2e-3
 """How well a face lies against pads or lip: standard deviations [m], [rad]."""
+FELL, FELL_TURN = 0.005, math.radians(20.0)
+"""A brick that has come off its knobs is farther from where it was [m], [rad]."""
 ARM_OFF = 5e-5
 """How exactly the joints say where the tool is [m]."""
 
@@ -49,6 +53,10 @@ class Held(NamedTuple):
     block: str
     estimate: Estimate
     """In the tool frame."""
+    taken: np.ndarray
+    """float64[7]: its pose in the tool frame when it was taken."""
+    flush: np.ndarray
+    """float64[3, 6]: what of a small motion in the tool frame would part it from pads or lip."""
 
 
 class Sight:
@@ -107,27 +115,43 @@ class Sight:
                 if one.time >= readings.time - 1e-6:
                     self._see_held(read(one), tool)
             elif one.time >= self.since.get(one.block, one.time):
-                self.belief.see(one.block, read(one))
+                reading = read(one)
+                if not self._on_knobs(one.block, reading):
+                    self.belief.see(one.block, reading)
         return not any(one.covariance.any() for one in readings.blocks)
+
+    def _on_knobs(self, name: str, reading: Estimate) -> bool:
+        """Whether a reading is wrong as it has a brick a little beside its place on knobs that it
+        was pressed home on, which do not allow that; one that fell off is farther away."""
+        k, known = self.world.names.index(name), self.belief.known.get(name)
+        pressed = any(k in pair for pair in self.world.home)
+        if not (self.touch and pressed and known and reading.covariance.any()):
+            return False
+        reading = self.belief.as_known(name, reading, known)
+        off = step_between(known.pose, reading.pose)
+        near = np.linalg.norm(off[:3]) < FELL and np.linalg.norm(off[3:]) < FELL_TURN
+        return bool(near) and distance(known, reading) > GATE
 
     def _see_held(self, reading: Estimate, tool: tuple[np.ndarray, np.ndarray]) -> None:
         """A reading of what is in the hand."""
         assert self.held is not None
-        name, known = self.held
+        held = self.held
+        name, known = held.block, held.estimate
         seen = reading.seen_from(*tool)
         if not reading.covariance.any():
-            self.held = Held(name, seen)
+            self.held = held._replace(estimate=seen)
             return
         seen = self.belief.as_known(name, seen, known)
         off = np.diag([ARM_OFF**2] * 3 + [0.0] * 3)
         seen = seen._replace(covariance=seen.covariance + off)
         if distance(known, seen) <= GATE:
-            self.held = Held(name, averaged(known, seen))
+            self.held = held._replace(estimate=averaged(known, seen))
             self.belief.rivals.pop(name, None)
             return
         rival = self.belief.rivals.get(name)
         if rival is not None and distance(rival, seen) <= GATE:
-            self.held = Held(name, moved_on(known, averaged(rival, seen)))
+            slipped = moved_on(known, averaged(rival, seen))
+            self.held = self._flat(held._replace(estimate=slipped))
             self.belief.rivals.pop(name)
         else:
             self.belief.rivals[name] = seen
@@ -172,14 +196,14 @@ class Sight:
         known = self.belief.known[name].seen_from(*tool)
         shift = np.diag([SHIFT**2] * 3 + [SHIFT_TURN**2] * 3)
         known = known._replace(covariance=known.covariance + shift)
-        if self.touch:
-            known = self._flush(known, grasp, contact)
         self.belief.forget(name)
-        self.held = Held(name, known)
+        held = Held(name, known, known.pose, self._parting(known, grasp, contact))
+        # The hand was turned so that the face should lie flat: what was meant is what is measured.
+        self.held = self._flat(held)
 
-    def _flush(self, known: Estimate, grasp: Attitude, contact: np.ndarray) -> Estimate:
-        """An estimate in the tool frame once a face lies against the tool: along the axis across
-        pads, or out of the lip, and about the two others."""
+    def _parting(self, known: Estimate, grasp: Attitude, contact: np.ndarray) -> np.ndarray:
+        """See :attr:`Held.flush`: along the axis across pads, or out of the lip, and about the two
+        others."""
         fingers = self.arm.suction is None
         frame = np.eye(3)[:, [2, 0, 1]] if fingers else grasp.lip.frame()
         axis = frame[:, 2]
@@ -187,16 +211,23 @@ class Sight:
         rows = np.zeros((3, 6))
         rows[0, :3], rows[0, 3:] = axis, np.cross(arm, axis)
         rows[1, 3:], rows[2, 3:] = frame[:, 0], frame[:, 1]
+        return rows
+
+    def _flat(self, held: Held) -> Held:
+        """A face of what is held lies flat against the tool, as when it was taken: it slips only
+        along that."""
+        if not self.touch:
+            return held
+        off = held.flush @ step_between(held.estimate.pose, held.taken)
         noise = np.diag([FLUSH, FLUSH_TURN, FLUSH_TURN]) ** 2
-        # The hand was turned so that the face should lie flat: what was meant is what is measured.
-        return fused(known, rows, np.zeros(3), noise)
+        return held._replace(estimate=fused(held.estimate, held.flush, off, noise))
 
     def let_go(self) -> None:
         """What was held rests where the hand is."""
         if self.held is None:
             return
         readings = self.plant.sense()
-        name, known = self.held
+        name, known = self.held.block, self.held.estimate
         there = known.seen_in(*self._tool(readings))
         shift = np.diag([SHIFT**2] * 3 + [SHIFT_TURN**2] * 3)
         self.held = None

@@ -7,6 +7,8 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -98,7 +100,7 @@ class Choice:
         self.postponed: set[int] = set()
         """Blocks whose way another arm is in."""
         self.done: list[Done] = []
-        self.fitting = Fitting(self.world)
+        self.fitting = Fitting(self.world, structure.studs() is not None)
         self.comes = {step.block for step in self.order}
 
     def state(self) -> dict[str, Any]:
@@ -368,15 +370,27 @@ class Choice:
     def fitted(self, k: int, group: tuple[int, ...] = ()) -> np.ndarray:
         """float64[7]: where a block goes, with what it brings along, see
         :class:`~.fitting.Fitting`."""
+        with self._joined(k, group) as others:
+            coming = {n for n in others & self.comes if self.world.state[n] in (STOCK, LOOSE)}
+            return self.fitting.goal(k, self.standing() & others, coming)
+
+    def home(self, k: int, group: tuple[int, ...] = ()) -> np.ndarray | None:
+        """float64[7]: where knobs draw a brick, with what it brings along; None: it is on none."""
+        if self.structure.studs() is None:
+            return None
+        with self._joined(k, group) as others:
+            return self.fitting.home(k, self.standing() & others)
+
+    @contextmanager
+    def _joined(self, k: int, group: tuple[int, ...]) -> Iterator[set[int]]:
+        """Pieces of the part of the structure that a block comes to, without what it brings along;
+        meanwhile that is taken to belong to the structure."""
         world, taken = self.world, [k, *group]
         beside = world.beside[taken].copy()
         if group:
             world.beside[taken] = 0.0
-        others = self._together(k) - set(taken)
-        coming = {n for n in others & self.comes if world.state[n] in (STOCK, LOOSE)}
-        goal = self.fitting.goal(k, self.standing() & others, coming)
+        yield self._together(k) - set(taken)
         world.beside[taken] = beside
-        return goal
 
     def height(self, k: int) -> float:
         """Standard deviation of the height of what carries a block in its place [m]."""

@@ -595,7 +595,7 @@ def _told(sums: _Sums, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     scale = 1 / np.sqrt(np.diag(prior))
     told, axes = np.linalg.eigh(sums.information * np.outer(scale, scale))
     axes = axes[:, told >= ENOUGH**2]
-    onto = (axes @ axes.T) * scale / scale[:, None]
+    onto = (axes @ axes.T) * scale[:, None] / scale
     return onto.T @ sums.information @ onto, onto.T @ sums.gradient
 
 
