@@ -364,7 +364,9 @@ class Building:
 
     def _come_home(self, action: Action, rows: Rows, pressed: bool) -> None:
         """Which joints of studs are home now, as far as that is known: those of a block that was
-        pressed, and none of one that was taken elsewhere."""
+        pressed, and none of one that was taken elsewhere. What was built beside is so no more."""
+        if pressed and action.what == "attach":
+            self.world.beside[[action.block, *action.group]] = 0.0
         taken, home = {action.block, *action.group}, self.world.home
         for pair in [pair for pair in home if len(taken & set(pair)) == 1]:
             home.discard(pair)
@@ -413,8 +415,6 @@ class Building:
         """
         world, k = self.world, action.block
         placing = action.what in PLACING
-        if came.reached and action.what == "attach":
-            world.beside[[k, *action.group]] = 0.0
         if came.reached and not placing:
             back = action.source is not None and world.job.sources[action.source].magazine
             extra = k >= len(self.job.pieces)

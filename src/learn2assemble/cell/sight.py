@@ -37,6 +37,8 @@ MOST_LOOKS = 10
 """How often it is looked at most for what has to be known."""
 FINE = 1.2e-4
 """What is in the hand is looked at until its place is known so well: standard deviation [m]."""
+TELLS = 0.97
+"""A look that tells something of what is in the hand leaves no more of its spread than this."""
 SHIFT, SHIFT_TURN = 1e-4, 2e-3
 """By which a block may move when it is taken or let go: standard deviations [m], [rad]."""
 FLUSH, FLUSH_TURN = 1e-4, 2e-3
@@ -87,15 +89,18 @@ class Sight:
 
         Args:
             needed: names of blocks.
-            fine: look at what is in the hand until its place is known to :data:`FINE`.
+            fine: look at what is in the hand until its place is known to :data:`FINE`, as long as
+                that tells anything.
         """
         self.belief.rest()
         for _ in range(MOST_LOOKS):
+            before = self.held.estimate.spread if self.held else 0.0
             exact = self._picture()
             open_questions = bool(self.belief.rivals) or any(
                 name not in self.belief.known and not self._holds(name) for name in needed
             )
-            rough = fine and self.held is not None and self.held.estimate.spread > FINE
+            spread = self.held.estimate.spread if self.held else 0.0
+            rough = fine and FINE < spread < TELLS * before
             if not open_questions and (exact or not rough):
                 break
         self.write()
@@ -121,16 +126,27 @@ class Sight:
         return not any(one.covariance.any() for one in readings.blocks)
 
     def _on_knobs(self, name: str, reading: Estimate) -> bool:
-        """Whether a reading is wrong as it has a brick a little beside its place on knobs that it
-        was pressed home on, which do not allow that; one that fell off is farther away."""
-        k, known = self.world.names.index(name), self.belief.known.get(name)
-        pressed = any(k in pair for pair in self.world.home)
-        if not (self.touch and pressed and known and reading.covariance.any()):
+        """Whether a reading is wrong as it contradicts that a brick was pressed home: knobs do not
+        allow it to be a little beside its place, and one between others that are still in their
+        places cannot have come off them."""
+        world, known = self.world, self.belief.known.get(name)
+        k = world.names.index(name)
+        lower, upper = ([pair[n] for pair in world.home if pair[1 - n] == k] for n in (0, 1))
+        if not (self.touch and (lower or upper) and known and reading.covariance.any()):
             return False
         reading = self.belief.as_known(name, reading, known)
+        if distance(known, reading) <= GATE:
+            return False
         off = step_between(known.pose, reading.pose)
-        near = np.linalg.norm(off[:3]) < FELL and np.linalg.norm(off[3:]) < FELL_TURN
-        return bool(near) and distance(known, reading) > GATE
+        if np.linalg.norm(off[:3]) < FELL and np.linalg.norm(off[3:]) < FELL_TURN:
+            return True
+        return bool(lower) and any(self._in_place(n) for n in upper)
+
+    def _in_place(self, k: int) -> bool:
+        """Whether a block is where it shall be, as far as that is known."""
+        known = self.belief.known.get(self.world.names[k])
+        there = self.world.target(k)[:3]
+        return known is not None and bool(np.linalg.norm(known.pose[:3] - there) < FELL)
 
     def _see_held(self, reading: Estimate, tool: tuple[np.ndarray, np.ndarray]) -> None:
         """A reading of what is in the hand."""
