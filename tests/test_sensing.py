@@ -16,7 +16,15 @@ from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matr
 from learn2assemble.robot.bodies import Part
 from learn2assemble.sensing.camera import DepthCamera, DepthNoise, looking
 from learn2assemble.sensing.pictures import SimulatedCamera, still_scene, true_depth
-from learn2assemble.sensing.registration import Believed, Look, Seen, register, views_of
+from learn2assemble.sensing.registration import (
+    ENOUGH,
+    Believed,
+    Look,
+    Seen,
+    register,
+    views_of,
+    what_is_told,
+)
 from seen_scenes import BRICK, CORNER, TURNS, lying, off_by, shifted
 
 WEDGE = hull_of(np.array([[0, 0, 0], [8, 0, 0], [0, 5, 0], [8, 5, 0], [0, 0, 4], [0, 5, 4]]) / 100)
@@ -203,3 +211,23 @@ def test_a_camera_that_is_none_is_refused_in_one_line(
 def test_two_cameras_of_one_name_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"cameras\[1\].name"):
         read_site(layout(tmp_path, GOOD, GOOD))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_pictures_do_not_tell_is_taken_out_and_nothing_else(seed: int) -> None:
+    """In units of the search, whatever those are: along directions of which they tell enough all of
+    it stays, along the others nothing."""
+    rng = np.random.default_rng(seed)
+    sigma = np.array([0.004] * 3 + [0.05] * 3)
+    axes = np.linalg.qr(rng.standard_normal((6, 6)))[0]
+    told = 10.0 ** np.array([5, 4, 3, 2, -1, -3])
+    rows = axes / sigma[:, None]
+    information, gradient = (rows * told) @ rows.T, rng.standard_normal(6)
+    kept, pull = what_is_told(information, gradient, np.diag(sigma**-2.0))
+    within = axes.T * sigma
+    for k, much in enumerate(told):
+        expected = much if much > ENOUGH**2 else 0.0
+        assert within[k] @ kept @ within[k] == pytest.approx(expected, abs=1e-6, rel=1e-6)
+        assert within[k] @ pull == pytest.approx(
+            within[k] @ gradient if expected else 0.0, abs=1e-9
+        )

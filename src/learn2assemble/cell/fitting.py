@@ -165,7 +165,8 @@ class Fitting:
         """float64[7]: where knobs draw a brick that is pressed on those that stand below it; as it
         is drawn where there are none."""
         goal = self.world.target(k)
-        below = {n.other for n in self.facing(k) if n.way[2] < -LEANING} & set(standing)
+        beds = (near for near in self.facing(k) if near.way[2] < -LEANING and near.gap < MEETS)
+        below = {near.other for near in beds} & set(standing)
         if not below:
             return goal
         steps = []

@@ -568,7 +568,7 @@ def register(views: Sequence[PreparedPicture], believed: Believed) -> Seen:
         sums = _normal_equations(views, shape, pose, gate, reach, FEW if number < 4 else MANY)
         if sums.counts[0] < LEAST // 4:
             break
-        known, pull = _told(sums, prior)
+        known, pull = what_is_told(sums.information, sums.gradient, prior)
         step = np.linalg.solve(known + prior, pull - prior @ offset)
         step[:3] = step[:3].clip(-place, place)
         step[3:] = step[3:].clip(-2 * turn, 2 * turn)
@@ -581,7 +581,8 @@ def register(views: Sequence[PreparedPicture], believed: Believed) -> Seen:
     if look == Look.SEEN and np.linalg.norm(pose[:3] - start[:3]) > 4 * place:
         look = Look.ABSENT
     worse = max(1.0, sums.squares / max(int(sums.counts[0]) - 6, 1))
-    covariance = np.linalg.inv(_told(sums, prior)[0] / worse + NOTHING * prior)
+    known, _ = what_is_told(sums.information, sums.gradient, prior)
+    covariance = np.linalg.inv(known / worse + NOTHING * prior)
     on, border, _, behind, _ = sums.counts.tolist()
     if look != Look.SEEN:
         return Seen(believed.block, look, start, covariance, on + border, behind)
@@ -590,13 +591,21 @@ def register(views: Sequence[PreparedPicture], believed: Believed) -> Seen:
     return Seen(believed.block, look, pose, covariance, on + border, behind)
 
 
-def _told(sums: _Sums, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Information and gradient along those directions of which the pictures tell enough."""
+def what_is_told(
+    information: np.ndarray, gradient: np.ndarray, prior: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Information and gradient along those directions of which the pictures tell enough.
+
+    Args:
+        information: float64[6, 6] of the pictures.
+        gradient: float64[6]
+        prior: float64[6, 6], diagonal: the same of the search.
+    """
     scale = 1 / np.sqrt(np.diag(prior))
-    told, axes = np.linalg.eigh(sums.information * np.outer(scale, scale))
+    told, axes = np.linalg.eigh(information * np.outer(scale, scale))
     axes = axes[:, told >= ENOUGH**2]
     onto = (axes @ axes.T) * scale[:, None] / scale
-    return onto.T @ sums.information @ onto, onto.T @ sums.gradient
+    return onto.T @ information @ onto, onto.T @ gradient
 
 
 def _looks(counts: np.ndarray, views: Sequence[PreparedPicture]) -> Look:
