@@ -33,6 +33,15 @@ from learn2assemble.viewer.scene import block_parts, scene_data
 SAMPLES = [n for n, d in brick_data.designs().items() if "StableLego" not in d["source"]]
 BRIDGE = bricks(((2, 4), (0, 0, 0)), ((2, 4), (0, 3, 1)), ((2, 4), (0, 6, 2)))
 """Three bricks, each on one row of knobs of the one before."""
+ARM_OVER_A_BASE = bricks(
+    ((4, 2), (0, 0, 0)),
+    ((8, 2), (4, 0, 0)),
+    *(((2, 2), (0, 0, z)) for z in (1, 2, 3)),
+    ((4, 2), (0, 0, 4)),
+    ((8, 2), (2, 0, 3)),
+    ((2, 2), (8, 0, 2)),
+)
+"""Its last two bricks hang, one from the far end of the other, and nothing gets below them."""
 _FEW = 50
 """Bricks up to which every state is looked at again, else every fifth."""
 
@@ -62,13 +71,15 @@ def replay(plan: Plan) -> None:
     present = np.zeros(len(blocks), bool)
     held = np.zeros_like(present)
     beside: set[int] = set()
+    lead = -1
+    """What is held of the part that is built beside."""
     for step in plan.steps:
         b = step.block
         if step.action == "hold":
             held[b] = True
         elif step.action == "release":
             held[b] = False
-            if beside:
+            if beside and b == lead:
                 above = [k for k in range(len(blocks)) if present[k] and k not in beside]
                 over = [k for k in above for g in beside if covers(lattice, k, g)]
                 under = [k for k in above for g in beside if covers(lattice, g, k)]
@@ -80,6 +91,7 @@ def replay(plan: Plan) -> None:
             if step.way == "beside":
                 beside.add(b)
                 held[b] |= len(beside) == 1
+                lead = b if len(beside) == 1 else lead
             else:
                 beside.clear()  # What was brought is built upon.
                 sign = 1.0 if step.way == "above" else -1.0
@@ -128,6 +140,22 @@ def test_hands_build_every_sample(name: str) -> None:
         brick_data.design(name).blocks
     )
     replay(plan)
+
+
+def test_who_presses_inside_a_part_that_is_built_beside_is_told_what_to_hold() -> None:
+    plan = plan_assembly(ARM_OVER_A_BASE, hands=True)
+    replay(plan)
+    told = [(step.action, step.block) for step in plan.steps]
+    last = told.index(("place", 7))
+    assert told[last - 1 : last + 2] == [("hold", 6), ("place", 7), ("release", 6)]
+    assert told.index(("hold", 5)) < last < told.index(("release", 5))
+    assert plan.assembly is not None
+    balance, law = balance_of(plan.assembly), plan.assembly.joint
+    there, head, both = (np.isin(np.arange(8), some) for some in ([5, 6, 7], [5], [5, 6]))
+    middle = plan.assembly.blocks[7].vertices.mean(0)
+    press = Push(7, -law.press, (middle[0], middle[1]))
+    assert not balance.stands(there, head, press)
+    assert balance.stands(there, both, press)
 
 
 def test_bricks_from_above_need_no_help() -> None:

@@ -230,7 +230,7 @@ class TakingApart:
             return
         nobody = np.zeros_like(state.held)
         there = State(nobody, nobody).change(place=group, hold=[b])
-        layer, steps = self.mates.lattice.low[:, 2], []
+        layer, parts = self.mates.lattice.low[:, 2], list[list[Doing]]()
         while there.present.sum() > 1:
             left = [k for k in np.flatnonzero(there.present).tolist() if k != b]
             for k in sorted(left, key=lambda one: (-abs(layer[one] - layer[b]), one)):
@@ -238,13 +238,15 @@ class TakingApart:
                 own = self.way([k], there)
                 if own is None or not self._meets(k, own, less) or len(self._loose(less)):
                     continue
-                if self._pressed([k], own, there, less) is not None:
+                inside = self._pressed([k], own, there, less)
+                if inside is not None:
                     there = less
-                    steps.append(Doing("place", k, "beside"))
+                    parts.append(_while_held(inside[0], [Doing("place", k, "beside")]))
                     break
             else:
                 return
-        made = [Doing("place", b, "beside"), Doing("hold", b), *steps[::-1], Doing("release", b)]
+        steps = [step for part in parts[::-1] for step in part]
+        made = [Doing("place", b, "beside"), Doing("hold", b), *steps, Doing("release", b)]
         yield self._with(_while_held(pressed[0], made), rest)
 
     def _with(self, steps: list[Doing], rest: State) -> Transition:
