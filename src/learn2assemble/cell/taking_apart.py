@@ -3,8 +3,8 @@
 From the finished structure bricks are taken off upwards, one by one: the highest first, where what
 is left stands, stood while the brick was pressed home, and the arm can bring it there among what is
 left; order and grasp are chosen together. Where a brick cannot be pressed on alone, it is taken off
-together with what it carries: that part is built beside, on the table, and brought as one. Read
-backwards, that is an order of building.
+together with what it carries, or with all that is over it: that part is built beside, on the table,
+and brought as one. Read backwards, that is an order of building.
 """
 
 from __future__ import annotations
@@ -169,13 +169,26 @@ class _Disassembly:
                     yield _TakenOff(rest, (step,))
         if part.beside is not None:
             return
-        groups = [(b, part.states.loose(present - {b})) for b in covered]
-        for b, loose in sorted(groups, key=lambda one: len(one[1])):
-            group = frozenset({b, *loose})
-            rest = present - group
-            free = not any(over[g] & rest for g in group)
-            if loose and free and len(group) <= MOST_BESIDE:
-                yield from self._beside(part, group, rest)
+        tried = {frozenset({b}) for b in present}
+        hanging = (frozenset({b, *part.states.loose(present - {b})}) for b in covered)
+        over_it = (self._over(part, b, present) for b in covered)
+        # What stands on others, too, is brought with a brick only where nothing else goes on.
+        for groups in (hanging, over_it):
+            for group in sorted(groups, key=len):
+                rest = present - group
+                free = not any(over[g] & rest for g in group)
+                if group not in tried and rest and free and len(group) <= MOST_BESIDE:
+                    tried.add(group)
+                    yield from self._beside(part, group, rest)
+
+    def _over(self, part: _Subassembly, b: int, present: frozenset[int]) -> frozenset[int]:
+        """A brick with all that is over it, and what hangs on that."""
+        over, group, more = self.structure.states.mates.over, frozenset[int](), frozenset({b})
+        while more:
+            group |= more
+            above = {k for g in group for k in over[g].tolist()} & present
+            more = frozenset({*above, *part.states.loose(present - group)}) - group
+        return group
 
     def _pressed(self, part: _Subassembly, group: tuple[int, ...], rest: frozenset[int]) -> bool:
         """Whether what is left stands, and what comes to it, also while that is pressed home."""
