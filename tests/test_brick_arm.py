@@ -76,6 +76,42 @@ def test_what_is_built_beside_comes_as_it_is() -> None:
     assert (plan.arm.error_worst or 0.0) <= 5e-4
 
 
+FRAME = duplo(
+    ((2, 2), (0, 0, 0)),
+    ((2, 2), (2, 1, 0)),
+    ((4, 2), (4, 1, 0)),
+    ((2, 4), (3, 0, 1)),
+    ((2, 4), (1, 0, 1)),
+    ((2, 4), (6, 0, 1)),
+    ((4, 2), (2, 1, 2)),
+    ((4, 2), (2, 1, 3)),
+    ((2, 2), (2, 3, 2)),
+)
+"""Product 48 of the fourth tier of WorkBenchMark (CC BY 4.0)."""
+
+
+def test_what_is_over_a_brick_is_brought_with_it_where_no_single_one_can_be_pressed() -> None:
+    """All states that single bricks lead to, from the finished structure, are looked at: the empty
+    one is not among them."""
+    states = BrickStates(FRAME)
+    over = [set(above.tolist()) for above in states.mates.over]
+    seen = {frozenset(range(len(FRAME.blocks)))}
+    queue = list(seen)
+    while queue:
+        there = queue.pop()
+        for b in there:
+            rest = there - {b}
+            if rest in seen or over[b] & rest or states.loose(rest):
+                continue
+            if states.stands(rest) and states.stands_pressed([b], rest):
+                seen.add(rest)
+                queue.append(rest)
+    assert min(map(len, seen)) > 0
+    plan = l2a.build(FRAME, arm="panda", physics="kinematic")
+    assert plan.complete
+    assert [step.way for step in plan.steps].count("beside") >= 2
+
+
 def test_order_and_grasps_are_chosen_together() -> None:
     plan = l2a.build(WALL, arm="panda", physics="kinematic")
     assert plan.complete
