@@ -115,7 +115,7 @@ def test_the_files_of_a_build_open(built: Plan, tmp_path: Path) -> None:
     assert again == built
     assert again.record is not None
     assert built.arm is not None
-    assert Playback(again.record, again).duration == pytest.approx(built.arm.seconds, abs=0.1)
+    assert Playback(again.records, again).duration == pytest.approx(built.arm.seconds, abs=0.1)
 
 
 def test_the_same_seed_gives_the_same_build() -> None:
@@ -142,7 +142,7 @@ def test_a_build_interrupted_by_lost_blocks_is_replanned_and_finished() -> None:
     # No block is lost silently: every one is somewhere, at rest, and the page can show it.
     assert np.isfinite(record.steps[-1].after).all()
     assert (record.steps[-1].after[:, 2] > 0.02).all()
-    Playback(record, plan)
+    Playback((record,), plan)
     assert find_fault(record) is None
 
 
@@ -167,7 +167,7 @@ def test_a_build_interrupted_by_a_dropped_block_is_replanned_and_finished(
         pose = record.steps[-1].after[step.block, :3]
         assert np.linalg.norm(pose - step.position) < 5e-3
     assert find_fault(record) is None
-    Playback(record, plan)
+    Playback((record,), plan)
 
 
 def test_an_arm_that_always_fails_gives_up(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -35,7 +35,7 @@ COUNT = 6
 
 
 def write_page(plan: Plan, path: Path, record: BuildRecord | None) -> None:
-    write_plan_page(replace(plan, record=record), path)
+    write_plan_page(replace(plan, records=() if record is None else (record,)), path)
 
 
 def render_page(plan: Plan, record: BuildRecord | None = None) -> str:
@@ -51,7 +51,7 @@ def record() -> BuildRecord:
 
 @pytest.fixture(scope="module")
 def playback(record: BuildRecord) -> Playback:
-    return Playback(record, arm_plan(COUNT))
+    return Playback((record,), arm_plan(COUNT))
 
 
 def stepped(record: BuildRecord, k: int, **fields: Any) -> BuildRecord:
@@ -156,7 +156,7 @@ def test_a_held_block_keeps_its_place_in_the_hand(playback: Playback) -> None:
                 continue
             inside = []
             for clock in np.linspace(glide.grip, glide.release - 1e-6, 7):
-                tool, rotation = playback.shape.tool(playback.arm_at(clock)[0])
+                tool, rotation = playback.arms[0].shape.tool(playback.arm_at(clock)[0])
                 cells, turns = playback.cells_at(clock)
                 inside.append(
                     [
@@ -198,7 +198,7 @@ def test_an_arm_that_never_moves_stands_at_home() -> None:
     record = arm_record("panda", COUNT)
     still = next(step for step in record.steps if step.outcome == Outcome.UNREACHABLE)
     alone = replace(record, steps=(replace(still, number=1),))
-    playback = Playback(alone, arm_plan(COUNT))
+    playback = Playback((alone,), arm_plan(COUNT))
     np.testing.assert_array_equal(playback.arm_at(1.0)[0], get_arm("panda").home)
     assert playback.duration == PAUSE
     assert "with-arm" in render_page(arm_plan(COUNT), alone)
@@ -290,10 +290,12 @@ def test_the_page_without_a_record_knows_no_arm() -> None:
 def test_numbers_in_the_page_are_those_of_the_record(record: BuildRecord) -> None:
     data = page_data(render_page(arm_plan(COUNT), record))["arm"]
     samples, _ = record.joined()
-    got = unpacked(data["samples"])
+    got = unpacked(data["robots"][0]["samples"])
     np.testing.assert_allclose(got[:, :-1], samples.joints, atol=1e-4)
     np.testing.assert_allclose(got[:, -1], samples.width, atol=1e-6)
-    for part, wanted in zip(data["parts"], arm_shape(get_arm("panda")).parts, strict=True):
+    for part, wanted in zip(
+        data["robots"][0]["parts"], arm_shape(get_arm("panda")).parts, strict=True
+    ):
         np.testing.assert_allclose(unpacked(part["vertices"]), wanted.mesh.vertices, atol=1e-5)
         np.testing.assert_allclose(unpacked(part["normals"]), wanted.mesh.normals, atol=5e-3)
         faces = np.frombuffer(base64.b64decode(part["faces"]), "<u2").reshape(-1, 3)
@@ -354,7 +356,7 @@ document.getElementById("out").textContent = JSON.stringify(found);
 def test_the_browser_computes_the_same_places(browser: str, tmp_path: Path, name: str) -> None:
     """The chain of the arm in JavaScript against the compiled one, through the held blocks."""
     plan, record = arm_plan(COUNT), arm_record(name, COUNT)
-    playback = Playback(record, plan)
+    playback = Playback((record,), plan)
     times = np.linspace(0, playback.duration, 120).round(3)
     assets = resources.files("learn2assemble.viewer") / "assets"
     scripts = [

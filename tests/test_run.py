@@ -24,7 +24,8 @@ from learn2assemble.jobs.run import IN_HAND, Ran, run
 from learn2assemble.motion.plant import BlockReading, Request, Stop, ToolCommand, standing
 from learn2assemble.motion.safety import Box, Safety
 from learn2assemble.motion.setup import Noise, Setup, Surroundings, open_plant
-from learn2assemble.planning.plan import ArmReport, Plan
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.reports import ArmReport
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.robot.arm import get_arm
 from test_controllers import SAME, Fake, under_the_cup

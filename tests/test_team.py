@@ -18,7 +18,6 @@ from learn2assemble.cell.pieces import pieces_of
 from learn2assemble.cell.site import read_site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import set_up_team, team_reach
-from learn2assemble.cli import main
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
 from learn2assemble.planning.given import plan_assembly
@@ -189,17 +188,6 @@ def test_bad_cells_are_refused_in_one_line(
         l2a.build(balanced(), arm=tuple(arms), layout=file, physics="kinematic")
     assert words in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_what_is_not_there_yet_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = tmp_path / "balanced.json"
-    l2a.write_assembly(balanced(), file)
-    asked = ["build", str(file), "--arm", "panda", "--arm", "ur5e", "--out", str(tmp_path / "o")]
-    assert main(asked) == 2
-    said = capsys.readouterr().err
-    assert "2 arms" in said
-    assert "plans for two and carries nothing out" in said
-    assert not (tmp_path / "o").exists()
 
 
 def test_arms_stand_on_opposite_sides_and_reach_everything() -> None:

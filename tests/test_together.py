@@ -1,22 +1,33 @@
-"""Two arms that share a site: who may move, and builds of both."""
+"""Two arms that share a site: who may move, builds of both, and what is told of these."""
 
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
+import contextlib
+import io
+import json
+import re
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
+import learn2assemble as l2a
 from l2a_lab.shapes import wall
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.site import Site
-from learn2assemble.cell.together import Pair, Together, gather, opposite
+from learn2assemble.cell.site_arms import SiteArm
+from learn2assemble.cell.team import set_up_team
+from learn2assemble.cell.together import Pair, Together, gather
 from learn2assemble.cell.traffic import APART, ArmInTraffic, Leg, Route, Traffic
 from learn2assemble.cell.workcell import Workcell
+from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
+from learn2assemble.motion.merged import merged
 from learn2assemble.motion.plant import Guard, Motion, PlantError, Report, Stop, standing
 from learn2assemble.motion.record import find_fault
 from learn2assemble.planning.plan import Plan
@@ -27,10 +38,12 @@ from learn2assemble.robot.capsules import capsules_of, in_hand, solid_capsules
 from learn2assemble.robot.sweeps import clear, still, sweep
 from learn2assemble.simulation.model import Failure
 from learn2assemble.simulation.plant import DynamicPlant
+from learn2assemble.viewer.playback import Playback
 
 LEFT = get_arm("ur5e", "suction", (-0.42, 0.0, 0.0, 0.0))
 RIGHT = get_arm("panda", "suction", (0.42, 0.0, 0.0, np.pi))
 ARMS = LEFT, RIGHT
+SITE_ARMS = SiteArm("ur5e", "ur5e"), SiteArm("panda", "panda")
 BRICK = (Part((0.0, 0.0, 0.0), (0.03, 0.02, 0.02)),)
 AWAY = still(solid_capsules(BRICK, np.array([0.0, 3.0, 0.0]), np.eye(3)))
 KIT = load_kit("bricks")
@@ -181,7 +194,10 @@ def design(x: int, y: int, z: int) -> Plan:
 
 @pytest.fixture(scope="module")
 def crew() -> Pair:
-    return gather(design(10, 2, 3), (Workcell("ur5e"), Workcell("panda")), KIT.joint_gap)
+    plan = design(10, 2, 3)
+    assert plan.assembly is not None
+    members = set_up_team(plan.assembly, SITE_ARMS, Site())
+    return gather(plan, members, Workcell("ur5e"), KIT.joint_gap)
 
 
 def test_two_arms_build_together(crew: Pair) -> None:
@@ -235,15 +251,117 @@ def test_an_arm_that_is_stopped_leaves_the_other_one_safe(crew: Pair) -> None:
     assert both.plant.truth()[held][2] > piece.half.min() + 0.02
 
 
-def test_bases_on_one_spot_are_refused() -> None:
-    base = (0.0, -0.5, 0.0, np.pi / 2)
-    cells = tuple(Workcell("ur5e", site=Site(base)) for _ in range(2))
-    with pytest.raises(InputError, match="bases"):
-        gather(design(4, 2, 1), (cells[0], cells[1]), KIT.joint_gap)
+# ---------------------------------------------------------------- from the outside
 
 
-def test_the_second_arm_stands_opposite() -> None:
-    arm = get_arm("ur5e", "suction")
-    x, y, _, facing = opposite(arm)
-    assert np.allclose([x, y], -arm.base_position[:2])
-    assert abs(abs(facing) - np.pi) < 1e-9
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """A wall of ten blocks by the command, and what that says."""
+    folder = tmp_path_factory.mktemp("two")
+    np.save(folder / "wall.npy", wall(10, 2, 3))
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO()):
+        code = main(
+            [
+                *("build", str(folder / "wall.npy"), "--arm", "ur5e", "--arm", "panda"),
+                *("--no-video", "--json", "--out", str(folder / "out")),
+            ]
+        )
+    assert code == 0
+    return folder / "out", json.loads(said.getvalue().splitlines()[-1])
+
+
+def test_the_command_builds_with_two_arms(built: tuple[Path, dict[str, Any]]) -> None:
+    folder, said = built
+    plan = Plan.load(folder)
+    assert plan.complete
+    assert plan.arm is None
+    assert [arm.name for arm in plan.arms] == ["ur5e", "panda"]
+    assert {step.arm for step in plan.steps} == {"ur5e", "panda"}
+    assert (said["holds"], said["props"], said["robot_s"]) == (0, 0, plan.robot_s)
+    assert [arm["name"] for arm in said["arms"]] == ["ur5e", "panda"]
+    for arm, record in zip(plan.arms, plan.records, strict=True):
+        assert record.arm.name == arm.arm
+        assert arm.did is not None
+        assert arm.did.attempts == len(record.steps) == sum(s.arm == arm.name for s in plan.steps)
+        assert arm.did.error_worst is not None
+        assert arm.did.error_worst < 1e-3
+        assert arm.did.motion_fault is None
+        assert record.spans()[-1][1] <= (plan.robot_s or 0) + 0.1
+    files = {path.name for path in folder.iterdir()}
+    assert {"trajectory-1.json", "trajectory-2.json", "trajectory-2.csv"} <= files
+    assert "trajectory.json" not in files
+
+
+def test_attempts_of_both_are_one_sequence(built: tuple[Path, dict[str, Any]]) -> None:
+    """In the order in which they ended, each block moved by the arm that placed it alone."""
+    plan = Plan.load(built[0])
+    told = merged(plan.records)
+    assert [one.step.number for one in told] == [*range(1, len(plan.steps) + 1)]
+    assert all(a.end <= b.end for a, b in pairwise(told))
+    names = [arm.name for arm in plan.arms]
+    for one in told:
+        step = one.step
+        assert step.plan_step is not None
+        assert names[one.arm] == plan.steps[step.plan_step - 1].arm
+        placed = plan.steps[step.plan_step - 1].position
+        assert np.allclose(step.after[step.cells[0], :3], placed, atol=1e-5)
+    for a, b in pairwise(told):
+        moved = np.flatnonzero(np.abs(a.step.after - b.step.before).max(1) > 1e-5)
+        assert set(moved.tolist()) <= set(b.step.cells)
+
+
+def test_the_page_shows_both(built: tuple[Path, dict[str, Any]]) -> None:
+    folder, _ = built
+    plan, text = Plan.load(folder), (folder / "view.html").read_text(encoding="utf-8")
+    assert "Built by arms ur5e and panda" in text
+    assert len(re.findall(r'<rect class="reached" data-segment="\d+" x="[\d.]+" y="0"', text)) > 0
+    assert len(re.findall(r'<rect class="reached" data-segment="\d+" x="[\d.]+" y="10"', text)) > 0
+    assert "Placed by panda." in text
+    playback = Playback(plan.records, plan)
+    both = [
+        (a, b)
+        for a in playback.segments
+        for b in playback.segments
+        if (a.arm, b.arm) == (0, 1) and max(a.start, b.start) < min(a.end, b.end)
+    ]
+    assert both
+    for a, b in both:
+        clock = (max(a.start, b.start) + min(a.end, b.end)) / 2
+        assert {one.arm for one in playback.active_at(clock)} == {0, 1}
+    # What is held is where the tool has it.
+    for segment in playback.segments:
+        glide = next(one for one in segment.glides if one.grip is not None)
+        assert glide.grip is not None
+        clock = (glide.grip + glide.release) / 2
+        point, axes = playback.arms[segment.arm].shape.tool(playback.arm_at(clock, segment.arm)[0])
+        where = playback.cells_at(clock)[0][glide.cell]
+        assert np.allclose(where, point + axes @ glide.offset, atol=1e-6)
+
+
+def at(*places: float) -> Site:
+    """Arms beside each other, so far along x."""
+    return Site(
+        arms=tuple(
+            one._replace(base=(x, 0.5, 0.0, -1.57))
+            for one, x in zip(SITE_ARMS, places, strict=True)
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("arms", "options", "words"),
+    [
+        (("ur5e", "ur5e", "panda"), {}, "3 arms"),
+        (("ur5e", "panda"), {"kit": "lego"}, "one arm, or dry blocks"),
+        (("ur5e", "panda"), {"layout": at(0.1, 0.2)}, "expected at least 0.32 m"),
+        (("ur5e", "panda"), {"layout": at(3.0, 4.0)}, "blocks out of it"),
+    ],
+)
+def test_what_two_arms_cannot_do_is_one_line(
+    arms: tuple[str, ...], options: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(InputError) as error:
+        l2a.build(wall(4, 2, 1), arm=arms, **options)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)

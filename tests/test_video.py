@@ -16,7 +16,8 @@ from arm_record import arm_plan, arm_record
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError, MissingExtraError
 from learn2assemble.motion.files import write_record
-from learn2assemble.planning.plan import ArmReport, Plan
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.reports import ArmReport
 from learn2assemble.robot.shape import box
 from learn2assemble.viewer.renderer import (
     GROUND,
@@ -46,7 +47,7 @@ SIZE = 64
 
 @pytest.fixture(scope="module")
 def film() -> Frames:
-    return Frames(arm_plan(COUNT), arm_record("panda", COUNT))
+    return Frames(arm_plan(COUNT), (arm_record("panda", COUNT),))
 
 
 # ---------------------------------------------------------------- what is seen
@@ -204,7 +205,7 @@ def test_the_video_opens_and_has_its_length_and_size(
     monkeypatch.setattr("learn2assemble.viewer.video.SPEED", 20.0)
     plan, record = arm_plan(COUNT), arm_record("panda", COUNT)
     for name in ("a.mp4", "b.mp4"):
-        write_video(plan, record, tmp_path / name)
+        write_video(plan, (record,), tmp_path / name)
     clocks = moments(film.playback.duration, 20)
     with av.open(str(tmp_path / "a.mp4")) as file:
         stream = file.streams.video[0]
@@ -229,14 +230,14 @@ def test_without_the_extra_the_error_names_it(
 ) -> None:
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(MissingExtraError, match=r"learn2assemble\[video\]"):
-        write_video(arm_plan(COUNT), arm_record("panda", COUNT), tmp_path / "a.mp4")
+        write_video(arm_plan(COUNT), (arm_record("panda", COUNT),), tmp_path / "a.mp4")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_path_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("av")
     with pytest.raises(InputError, match="can be written"):
-        write_video(arm_plan(COUNT), arm_record("panda", COUNT), tmp_path / "no" / "a.mp4")
+        write_video(arm_plan(COUNT), (arm_record("panda", COUNT),), tmp_path / "no" / "a.mp4")
 
 
 # ---------------------------------------------------------------- all files of a build
@@ -250,7 +251,7 @@ def test_the_files_of_a_build_and_an_unsound_one(
         "learn2assemble.viewer.video.write_video", lambda plan, record, path: drawn.append(path)
     )
     record = arm_record("panda", COUNT)
-    plan = replace(arm_plan(COUNT), record=record)
+    plan = replace(arm_plan(COUNT), records=(record,))
     files = plan.save(tmp_path, video=True, page=False)
     assert {path.name for path in files.values()} >= {
         "plan.json",
@@ -262,12 +263,12 @@ def test_the_files_of_a_build_and_an_unsound_one(
     assert drawn == [tmp_path / "build.mp4"]
     slow = replace(record, arm=replace(record.arm, velocity=record.arm.velocity / 5))
     report = ArmReport("panda", 0.06, 2, (), 1.0)
-    replace(plan, record=slow, arm=report).save(tmp_path, video=True, page=False)
+    replace(plan, records=(slow,), arm=report).save(tmp_path, video=True, page=False)
     told = Plan.load(tmp_path).arm
     assert told is not None
     assert "rad/s, limit" in str(told.motion_fault)
     assert len(drawn) == 2
-    still = replace(plan, record=replace(record, steps=()))
+    still = replace(plan, records=(replace(record, steps=()),))
     assert "video" not in still.save(tmp_path, video=True, page=False)
 
 

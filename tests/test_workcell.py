@@ -511,7 +511,7 @@ def test_a_dynamic_build_is_repaired_resumed_and_recorded(tmp_path: Path) -> Non
     record = whole.record
     assert record is not None
     slow = dataclasses.replace(record.arm, velocity=record.arm.velocity / 100)
-    broken = dataclasses.replace(whole, record=dataclasses.replace(record, arm=slow))
+    broken = dataclasses.replace(whole, records=(dataclasses.replace(record, arm=slow),))
     found = Plan.load(broken.save(tmp_path / "broken", page=False)["plan"])
     assert found.complete
     assert found.record is not None

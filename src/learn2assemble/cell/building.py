@@ -33,6 +33,7 @@ from learn2assemble.cell.world import (
 )
 from learn2assemble.motion.checked import Checked
 from learn2assemble.motion.plant import Plant, PlantError, Request, Stop, standing
+from learn2assemble.motion.recorder import StepMotion
 from learn2assemble.progress import Detail
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Move, Outcome, carried
@@ -109,7 +110,9 @@ class Building:
         """Why the plant ended the build, where it did."""
         self.joints = self._where(arm.home)
         self.stood = 0.0
-        """So long the arm did nothing before an attempt, where others work meanwhile [s]."""
+        """So long the arm did nothing before an attempt, where others work meanwhile [s], ..."""
+        self.gone: StepMotion | None = None
+        """... after it has done this, since its last attempt."""
         self.recording = Recording(self.world, self.joints, words)
         self._resume()
 
@@ -503,6 +506,9 @@ class Building:
             ),
             None,
         )
+        motion = None if came.motion is None else came.motion.after(self.stood, self.joints)
+        if motion is not None and self.gone is not None:
+            motion, self.gone = self.gone.then(motion), None
         members = scene.members(move.cell)
         turn = carried(scene, move, members)[1][0]
         self.recording.recorder.add(
@@ -511,7 +517,7 @@ class Building:
             target=np.array([*move.target, *turn]),
             outcome=came.outcome,
             detail=came.detail,
-            motion=None if came.motion is None else came.motion.after(self.stood, self.joints),
+            motion=motion,
         )
 
     # ------------------------------------------------------------ going on after an interruption

@@ -15,7 +15,7 @@ from learn2assemble.cell.bricks import BrickStructure
 from learn2assemble.cell.building import Building, Kept, Prepared
 from learn2assemble.cell.cameras import through_cameras
 from learn2assemble.cell.reach import cells_of, set_up
-from learn2assemble.cell.report import Witness, arm_report, carried_out, words_of
+from learn2assemble.cell.report import Witness, Worked, arm_report, carried_out, words_of
 from learn2assemble.cell.taking_apart import arrange_bricks, plan_in_order
 from learn2assemble.cell.workcell import Job, Progress, StepOf, Workcell, job_of
 from learn2assemble.cell.world import OBSTACLE_DENSITY, WorkcellBlocks
@@ -120,7 +120,7 @@ def carry_out(
         return replace(plan, status="incomplete", reason=str(error), steps=(), coverage=0.0)
     reason = building.run(progress)
     took = time.perf_counter() - started
-    return carried_out(plan, building, workcell, reason, took, plant, witness)
+    return carried_out(plan, [Worked(building, workcell, witness)], reason, took, plant)
 
 
 def setup_of(job: Job, workcell: Workcell, structure: Structure | None = None) -> Setup:

@@ -131,7 +131,8 @@ class Recording:
         self.like: list[int] = []
         """Of every block beyond those of the plan, the piece it is like."""
         self.cells = world.cells()
-        self.fixed = [sum(map(len, self.cells)) + n for n in range(len(self.job.obstacles))]
+        self.obstacles = [one for one in self.job.obstacles if not one.arm]
+        self.fixed = [sum(map(len, self.cells)) + n for n in range(len(self.obstacles))]
         self.hands: list[ByHand] = []
         self.begin(joints, 0.0)
 
@@ -174,17 +175,18 @@ class Recording:
                 halves[cell], hulls[cell] = part.half, part.hull
                 densities[cell] = piece.density
                 poses[cell] = [*(pose[:3] + turn @ np.array(part.centre)), *pose[3:]]
-        for cell, obstacle in zip(self.fixed, self.job.obstacles, strict=True):
+        for cell, obstacle in zip(self.fixed, self.obstacles, strict=True):
             halves[cell], densities[cell] = np.array(obstacle.size) / 2, OBSTACLE_DENSITY
             poses[cell] = [*obstacle.middle, *yaw_quaternion(obstacle.yaw)]
         objects = (*self.cells, *((cell,) for cell in self.fixed))
         return poses, objects, halves, densities, tuple(hulls) if any(hulls) else None
 
     def numbers(self, rows: Rows) -> np.ndarray:
-        """int64[n]: cell of the record of each row."""
+        """int64[n]: cell of the record of each row; -1: none."""
+        fixed = [*self.fixed, *[-1] * (len(self.job.obstacles) - len(self.fixed))]
         return np.array(
             [
-                self.fixed[part] if owner < 0 else self.cells[self.body[owner]][part]
+                fixed[part] if owner < 0 else self.cells[self.body[owner]][part]
                 for owner, part in zip(rows.owner, rows.part, strict=True)
             ]
         )

@@ -8,17 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from learn2assemble.assembly.blocks import AssemblyStep
 from learn2assemble.cell.building import ASIDE, Building
+from learn2assemble.cell.state import Done
 from learn2assemble.cell.workcell import Job, StepOf, Workcell
 from learn2assemble.cell.world import STANDING
 from learn2assemble.geometry.hulls import separation
 from learn2assemble.geometry.rotations import quaternion_matrix
-from learn2assemble.planning.plan import ArmFailure, ArmReport, Plan, Step
+from learn2assemble.motion.record import BuildRecord
+from learn2assemble.planning.plan import Plan, Step
+from learn2assemble.planning.reports import ArmFailure, ArmReport
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Solid, solids
 from learn2assemble.robot.moves import Outcome
@@ -37,11 +41,27 @@ def words_of(job: Job, workcell: Workcell) -> str:
     return f"MuJoCo {mujoco.__version__}, arm and blocks together, held by {holds}"
 
 
+class Attempted(NamedTuple):
+    """What came of an attempt, of several arms."""
+
+    arm: int
+    """Number of the arm."""
+    done: Done
+
+
 def arm_report(
-    job: Job, workcell: Workcell, building: Building | None, plant: object = None
+    job: Job,
+    workcell: Workcell,
+    building: Building | None,
+    plant: object = None,
+    others: frozenset[StepOf] = frozenset(),
 ) -> ArmReport:
     """What the arm did, and how far the blocks really are from their places where a simulation can
-    tell."""
+    tell.
+
+    Args:
+        others: steps that other arms have done.
+    """
     x, y, z = job.arm.base_position.tolist()
     facing = float(job.arm.base_yaw - get_arm(workcell.arm).base_yaw)
     base = round(x, 6), round(y, 6), round(z, 6), round(facing, 6)
@@ -61,9 +81,9 @@ def arm_report(
     satisfied = sum(
         building.known.satisfied(step)
         for step in building.known.order
-        if step not in building.known.by_hand
+        if step not in building.known.by_hand and step not in others
     )
-    measured = measure(building, plant)
+    measured = measure(building, plant, {step.block for step in others})
     return ArmReport(
         workcell.arm,
         _pitch(job),
@@ -115,15 +135,20 @@ class Measured(NamedTuple):
     as it should be."""
 
 
-def measure(building: Building, plant: object) -> Measured:
-    """What a simulation says of itself; the build is over and has seen none of it."""
-    world, there = building.world, sorted(building.known.standing())
+def measure(building: Building, plant: object, others: set[int]) -> Measured:
+    """What a simulation says of itself; the build is over and has seen none of it.
+
+    Args:
+        others: blocks of which other arms tell.
+    """
+    world, every = building.world, sorted(building.known.standing())
     shown: Any = plant
+    there = [k for k in every if k not in others]
     if not hasattr(plant, "truth") or not there:
         return Measured()
     truth, shapes, worst = shown.truth(), getattr(plant, "shapes", dict)(), None
     away = np.array([0.0, 0.0, -1.0, 1.0, 0.0, 0.0, 0.0])
-    poses = {k: truth.get(world.names[k], away) for k in there}
+    poses = {k: truth.get(world.names[k], away) for k in every}
     errors = [float(np.linalg.norm(poses[k][:3] - world.drawn(k)[:3])) for k in there]
     table = getattr(plant, "table", None)
     if table is not None and (table[:3].any() or table[3] != 1.0):
@@ -132,7 +157,7 @@ def measure(building: Building, plant: object) -> Measured:
         off = np.array([poses[k][:3] for k in there]) - meant
         worst = round(float(np.linalg.norm(off, axis=1).max()), 6)
     belief = [float(np.linalg.norm(poses[k][:3] - world.pose[k, :3])) for k in there]
-    bodies = [solids(shapes.get(world.names[k], world.pieces[k].shape), poses[k]) for k in there]
+    bodies = [solids(shapes.get(world.names[k], world.pieces[k].shape), poses[k]) for k in every]
     deepest = deepest_overlap(bodies)
     overlap = None if deepest is None else round(deepest, 6)
     return Measured(
@@ -171,27 +196,46 @@ def _pitch(job: Job) -> float:
     return round(2 * min(float(p.half[:2].min()) for p in job.pieces) + job.joint, 6)
 
 
+class Worked(NamedTuple):
+    """An arm when its build is over."""
+
+    building: Building
+    workcell: Workcell
+    witness: Witness
+    name: str | None = None
+    """As steps call it; None: there is no other one."""
+
+
 def carried_out(
     plan: Plan,
-    building: Building,
-    workcell: Workcell,
+    arms: Sequence[Worked],
     reason: str | None,
     seconds: float,
     plant: object,
-    witness: Witness,
+    attempted: Sequence[Attempted] | None = None,
 ) -> Plan:
-    """The plan with what really happened."""
+    """The plan with what really happened.
+
+    Args:
+        arms: all of them; each knows where everything is.
+        attempted: what came of their attempts, in the order in which these ended; of one arm as
+            it tells itself.
+    """
+    building = arms[0].building
     job, world = building.job, building.world
     assert plan.assembly is not None
+    if attempted is None:
+        attempted = [Attempted(0, done) for done in building.known.done]
     last = {
-        d.step: d
-        for d in building.known.done
+        d.step: (number, arms[who], d)
+        for number, (who, d) in enumerate(attempted)
         if d.outcome == Outcome.REACHED.label and d.what not in ASIDE
     }
-    order = [step for step in building.known.order if not step.group]
+    orders = chain.from_iterable(one.building.known.order for one in arms)
+    order = [step for step in dict.fromkeys(orders) if not step.group]
     apart = {step.block for step in order if step.beside is not None}
     done = [step.plain for step in order if building.known.satisfied(step)]
-    done.sort(key=lambda step: last[step].number if step in last else 0)
+    done.sort(key=lambda step: last[step][0] if step in last else -1)
     proven = {StepOf(s.block, s.action == "remove"): s for s in plan.steps}
     same, standing, covered, before = done == list(proven), set[int](), 0.0, 0.0
     steps: list[Step] = []
@@ -201,7 +245,7 @@ def carried_out(
         before = step.coverage
     for number, step in enumerate(done, 1):
         standing = standing - {step.block} if step.remove else standing | {step.block}
-        old, attempt = proven[step], last.get(step)
+        old, (_, by, attempt) = proven[step], last.get(step, (0, arms[0], None))
         covered += 0.0 if step.remove else share[step.block]
         if not same:
             shown = building.known.structure.proof(frozenset(standing))
@@ -210,7 +254,7 @@ def carried_out(
         pose = world.pose[step.block] if there else world.target(step.block)
         x, y, z, w, a, b, c = (round(float(v), 6) for v in pose)
         above = "above" if attempt is None or not attempt.sideways else "the side"
-        how = f"suction from {above}" if job.arm.suction else "fingers"
+        how = f"suction from {above}" if by.building.job.arm.suction else "fingers"
         hand = attempt is not None and attempt.hand
         steps.append(
             replace(
@@ -223,6 +267,7 @@ def carried_out(
                 way="beside" if step.block in apart else old.way,
                 grasp="by hand" if hand else how,
                 by_hand=hand,
+                arm=None if hand else by.name,
             )
         )
     made = tuple(
@@ -243,24 +288,22 @@ def carried_out(
             name: (value, value) if whole else None
             for name, value in (("friction_range", job.friction), ("gap_range", job.joint))
         }
-    record = building.recording.record() if building.recorded else None
-    if record is not None:
-        numbers = {step: n for n, step in enumerate(done, 1)}
-        # Of a build that was gone on with, what was before it is not told any more.
-        told = [None] * (len(record.steps) - len(witness.told)) + witness.told
-        record = replace(
-            record,
-            steps=tuple(
-                replace(
-                    step,
-                    plan_step=None if d.what in ASIDE else numbers.get(d.step),
-                    truth=_really(building, step.after, poses),
-                )
-                for step, d, poses in zip(
-                    record.steps, building.known.attempts(), told, strict=True
-                )
-            ),
+    numbers = {step: n for n, step in enumerate(done, 1)}
+    taken_by = [
+        last[StepOf(k)][1] if StepOf(k) in last else arms[0] for k in range(len(job.pieces))
+    ]
+    waiting = tuple(_waiting(one.building, k) for k, one in enumerate(taken_by))
+    reports = [
+        arm_report(
+            one.building.job,
+            one.workcell,
+            one.building,
+            plant,
+            frozenset(step for step, (_, by, _) in last.items() if by is not one),
         )
+        for one in arms
+    ]
+    told = [replace(arm, did=did) for arm, did in zip(plan.arms, reports, strict=False)]
     return replace(
         plan,
         status="incomplete" if reason else "complete",
@@ -268,14 +311,35 @@ def carried_out(
         steps=tuple(steps),
         coverage=steps[-1].coverage if steps else 0.0,
         seconds=round(plan.seconds + seconds, 3),
-        blocks=replace(
-            plan.blocks, used=len(building.known.standing()), waiting=_waiting(building)
-        ),
-        verified_by=f"{plan.verified_by}, and {words_of(job, workcell)}",
-        arm=arm_report(job, workcell, building, plant),
-        record=record,
+        blocks=replace(plan.blocks, used=len(building.known.standing()), waiting=waiting),
+        verified_by=f"{plan.verified_by}, and {words_of(job, arms[0].workcell)}",
+        arm=None if told else reports[0],
+        arms=tuple(told),
+        records=tuple(_recorded(one, numbers) for one in arms if one.building.recorded),
         assembly=assembly,
         **ranges,
+    )
+
+
+def _recorded(arm: Worked, numbers: dict[StepOf, int]) -> BuildRecord:
+    """What an arm did, with where things really were.
+
+    Args:
+        numbers: of the steps of the plan.
+    """
+    building, record = arm.building, arm.building.recording.record()
+    # Of a build that was gone on with, what was before it is not told any more.
+    told = [None] * (len(record.steps) - len(arm.witness.told)) + arm.witness.told
+    return replace(
+        record,
+        steps=tuple(
+            replace(
+                step,
+                plan_step=None if d.what in ASIDE else numbers.get(d.step),
+                truth=_really(building, step.after, poses),
+            )
+            for step, d, poses in zip(record.steps, building.known.attempts(), told, strict=True)
+        ),
     )
 
 
@@ -289,11 +353,9 @@ def _really(
     return found if np.abs(found - seen).max() > EXACT else None
 
 
-def _waiting(building: Building) -> tuple[Any, ...]:
-    """Where every block is taken from."""
-    world, out = building.world, []
-    for k in range(len(building.job.pieces)):
-        number = world.source[k] if world.source[k] is not None else world.magazine(k)
-        pose = world.target(k) if number is None else world.presented(k, number)
-        out.append(tuple(round(float(v), 6) for v in pose[:3]))
-    return tuple(out)
+def _waiting(building: Building, k: int) -> Any:
+    """Where an arm takes a block from [m]."""
+    world = building.world
+    number = world.source[k] if world.source[k] is not None else world.magazine(k)
+    pose = world.target(k) if number is None else world.presented(k, number)
+    return tuple(round(float(v), 6) for v in pose[:3])

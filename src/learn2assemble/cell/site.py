@@ -126,6 +126,9 @@ class Obstacle(NamedTuple):
     """Above the table [m]."""
     name: str = "obstacles"
     """What messages call it."""
+    arm: bool = False
+    """Whether it stands for another arm and what that takes, which are in the cell themselves; such
+    are the last ones of a job."""
 
     @property
     def middle(self) -> tuple[float, float, float]:

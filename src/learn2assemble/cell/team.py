@@ -158,18 +158,22 @@ def set_up_team(assembly: Assembly, arms: Sequence[SiteArm], site: Site) -> list
     """The arms of a cell at their bases, each with places to take blocks from.
 
     Args:
-        assembly: what is built; its steps are not looked at.
+        assembly: what is built; its steps and props are not looked at.
         arms: who builds.
         site: what the user has said of the cell.
 
     Raises:
-        InputError: for what a tool cannot hold, bases on one spot, blocks that no arm reaches, a
-            magazine that none does, and where there is no room for one.
+        InputError: for joints that hold, for what a tool cannot hold, bases on one spot, blocks
+            that no arm reaches, a magazine that none does, and where there is no room for one.
     """
     import shapely
 
+    if assembly.holds:
+        raise InputError("joints", "some that hold", "dry blocks, for several arms")
+
     if site.pallets or site.positions:
         raise InputError(site.source, "pallets or positions", "magazines, for several arms")
+    assembly = _without_props(assembly)
     if any(block.support for block in assembly.blocks):
         raise InputError("design", "blocks that stand before the first step", "none, for an arm")
     pieces = pieces_of(assembly)
@@ -231,8 +235,7 @@ def _reaches(arm: Arm, source: Source, pieces: Sequence[Piece]) -> bool:
 
 def plan_by_team(
     assembly: Assembly,
-    arms: Sequence[SiteArm],
-    site: Site,
+    members: Sequence[Member],
     *,
     posts: bool = True,
     options: dict[str, Any],
@@ -242,16 +245,14 @@ def plan_by_team(
 
     Args:
         assembly: given blocks that are dry; steps and props are not looked at.
+        members: the arms, of :func:`set_up_team`.
         posts: whether posts may be placed, by hand, where hands that hold are not enough.
         options: ``friction``, ``gap`` and ``seconds`` as of :func:`~.planning.given.plan_assembly`.
 
     Raises:
-        InputError: as :func:`set_up_team`, and for blocks whose joints hold.
+        InputError: for options that cannot be used.
     """
-    if assembly.holds:
-        raise InputError("joints", "some that hold", "dry blocks, for several arms")
     bare = _without_props(assembly)
-    members = set_up_team(bare, arms, site)
     crews: list[ArmCrew] = []
 
     def crew_of(blocks: Sequence[Any]) -> ArmCrew:
@@ -260,8 +261,7 @@ def plan_by_team(
 
     help_ = Supports(posts=posts, holds=len(members) - 1, crew=crew_of)
     plan = plan_assembly(bare, supports=help_, progress=progress, **options)
-    placed = [a._replace(base=_where(m)) for a, m in zip(arms, members, strict=True)]
-    reached = team_reach(placed, members[0].job.pieces)
+    reached = team_reach([_site_arm(member) for member in members], members[0].job.pieces)
     told = tuple(
         BuilderArm(a.name, a.arm, a.tool or TOOL, _base_of(a), reached.count - len(reach.out))
         for a, reach in zip(reached.arms, reached.reaches, strict=True)
@@ -288,7 +288,8 @@ def _by_hand(plan: Plan) -> Plan:
     return replace(plan, steps=steps, assembly=replace(plan.assembly, steps=tuple(made)))
 
 
-def _where(member: Member) -> Base:
+def _site_arm(member: Member) -> SiteArm:
     arm = member.job.arm
     x, y, z = arm.base_position.tolist()
-    return x, y, z, arm.base_yaw - get_arm(arm.name).base_yaw
+    base = x, y, z, arm.base_yaw - get_arm(arm.name).base_yaw
+    return SiteArm(member.name, arm.name, arm.tool_name, base)

@@ -8,7 +8,7 @@ moves is there yet, and on whose way the arms keep their distance (:mod:`.traffi
 from __future__ import annotations
 
 import itertools
-import math
+import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -16,23 +16,28 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from learn2assemble.cell.arrange import Structure, arrange
+from learn2assemble.cell.arrange import Arranged, Structure, try_step
 from learn2assemble.cell.building import Building, Prepared
 from learn2assemble.cell.carry_out import setup_of
-from learn2assemble.cell.reach import cells_of, set_up, with_home
-from learn2assemble.cell.report import words_of
+from learn2assemble.cell.crew import Member
+from learn2assemble.cell.pieces import with_rests
+from learn2assemble.cell.reach import cells_of, with_home
+from learn2assemble.cell.report import Attempted, Witness, Worked, carried_out, words_of
 from learn2assemble.cell.site import Obstacle
 from learn2assemble.cell.state import Action, Done
 from learn2assemble.cell.traffic import ArmInTraffic, Route, Traffic, route_of
 from learn2assemble.cell.workcell import Job, Progress, StepOf, Workcell, job_of
-from learn2assemble.cell.world import rows_of
+from learn2assemble.cell.world import RETURNED, STANDING, WorkcellBlocks, rows_of
 from learn2assemble.errors import InputError
 from learn2assemble.motion.plant import Plant, PlantError, Readings, standing
-from learn2assemble.motion.record import BuildRecord
+from learn2assemble.motion.record import RATE, BuildRecord
+from learn2assemble.motion.recorder import StepMotion
 from learn2assemble.motion.setup import Setup
 from learn2assemble.planning.plan import Plan
-from learn2assemble.robot.arm import Arm, get_arm
+from learn2assemble.progress import Detail
+from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematic import KinematicCell
+from learn2assemble.robot.moves import Outcome
 from learn2assemble.simulation.execution import EMPTY, Execution, straight_motion
 from learn2assemble.simulation.model import Failure, lean_table, rigid_objects
 from learn2assemble.simulation.ways import WorldChecker, free_way
@@ -83,67 +88,78 @@ class Pair(NamedTuple):
 
     found: tuple[Prepared, Prepared]
     workcells: tuple[Workcell, Workcell]
+    """Of each; all that belongs to the cell is that of the first one."""
+    names: tuple[str, str]
 
 
 def gather(
     plan: Plan,
-    workcells: tuple[Workcell, Workcell],
+    members: Sequence[Member],
+    workcell: Workcell,
     joint: float = 1e-4,
-    progress: Progress = lambda text: None,
 ) -> Pair:
-    """Two arms with magazines of their own, and for each an order in which it could build alone.
+    """Two arms with magazines of their own, and for each the steps that it could do.
 
     Args:
         plan: complete, of dry blocks.
-        workcells: of each arm; where the second one has no base, it stands opposite to the first.
+        members: the arms, see :func:`~.team.set_up_team`.
+        workcell: how they build; which arm and tool, and what its base is, does not matter.
         joint: width of a vertical joint [m].
 
     Raises:
-        InputError: for what cannot be held or reached, for bricks that clutch, and for arms whose
-            bases are on one spot.
+        InputError: for a block that neither can place when its turn in the plan has come.
     """
-    jobs: list[Job] = []
-    structure: Structure | None = None
-    for workcell in workcells:
-        site = workcell.site
-        if jobs and site.base is None:
-            site = replace(site, base=opposite(jobs[0].arm))
-        if jobs and site.base is not None:
-            apart = float(np.linalg.norm(jobs[0].base - site.base[:2]))
-            if apart < BASE[0]:
-                got = f"bases {apart:.2f} m from each other"
-                raise InputError("arms", got, f"{BASE[0]:g} m or more")
-        around = tuple(box for job in jobs for box in occupied(job))
-        site = replace(site, obstacles=(*site.obstacles, *around))
-        job = set_up(
-            job_of(plan, workcell.arm, joint, workcell.hands), workcell.arm, workcell.tool, site
+    assert plan.assembly is not None
+    alike = job_of(plan, workcell.arm, joint, workcell.hands)
+    jobs = [
+        replace(
+            alike,
+            pieces=with_rests(alike.pieces, member.job.arm),
+            arm=member.job.arm,
+            sources=member.job.sources,
+            obstacles=member.job.obstacles,
         )
-        jobs.append(replace(job, arm=back(job)))
-    first, second = jobs
-    if first.assembly.holds:
-        raise InputError("arms", 2, "one arm, where bricks clutch")
-    first = replace(first, obstacles=(*first.obstacles, *occupied(second)))
-    structure = Structure(first)
-    found = []
+        for member in members
+    ]
+    jobs = [replace(job, arm=back(job)) for job in jobs]
+    first, second = (
+        replace(job, obstacles=(*job.obstacles, *occupied(other)))
+        for job, other in zip(jobs, reversed(jobs), strict=True)
+    )
+    structure, found, cells = Structure(first), list[Prepared](), list[Workcell]()
     for number, job in enumerate((first, second)):
         cell = KinematicCell(job.arm, cells_of(job))
-        order = arrange(job, structure, cell, progress)
-        order = replace(order, steps=shared_out(job, structure, order.steps, number))
+        steps, stuck = possible(job, structure, cell)
+        order = Arranged(shared_out(job, structure, steps, number), stuck)
         found.append(Prepared(job, structure, order, cell))
+        cells.append(replace(workcell, arm=job.arm.name, tool=job.arm.tool_name))
     reached = {step for one in found for step in one.order.steps}
     left = [step for step in first.steps if step not in reached]
     if left:
         piece = first.pieces[left[0].block]
-        why = next(one.order.stuck.get(left[0].block, "") for one in found)
+        why = found[0].order.stuck[left[0].block]
         raise InputError("arms", f"{piece.id}, which neither can place: {why}", "all within reach")
-    return Pair((found[0], found[1]), workcells)
+    one, other = (member.name for member in members)
+    return Pair((found[0], found[1]), (cells[0], cells[1]), (one, other))
 
 
-def opposite(arm: Arm) -> tuple[float, float, float, float]:
-    """The base on the other side of the site, facing it."""
-    x, y, z = arm.base_position.tolist()
-    facing = float(arm.base_yaw - get_arm(arm.name).base_yaw) + math.pi
-    return -x, -y, z, math.remainder(facing, 2 * math.pi)
+def possible(
+    job: Job, structure: Structure, cell: KinematicCell
+) -> tuple[list[StepOf], dict[int, str]]:
+    """The steps of a plan that an arm could do, each when its turn has come; by block, why it could
+    not do the others."""
+    world, standing = WorkcellBlocks(job), set[int]()
+    steps, stuck = list[StepOf](), dict[int, str]()
+    for step in job.steps:
+        why = try_step(world, cell, step, structure.ways_in(step.block, standing))
+        if why is None:
+            steps.append(step)
+        else:
+            stuck[step.block] = why
+        standing = standing - {step.block} if step.remove else standing | {step.block}
+        world.pose[step.block] = world.target(step.block)
+        world.state[step.block] = RETURNED if step.remove else STANDING
+    return steps, stuck
 
 
 def back(job: Job) -> Arm:
@@ -156,7 +172,7 @@ def back(job: Job) -> Arm:
 def occupied(job: Job) -> list[Obstacle]:
     """What the other arm must not touch of one: where it stands, and where its blocks wait."""
     x, y = job.base.tolist()
-    found = [Obstacle((x, y), BASE, float(job.arm.base_yaw), 0.0, "the other arm")]
+    found = [Obstacle((x, y), BASE, float(job.arm.base_yaw), 0.0, "the other arm", True)]
     for source in job.sources:
         a, b, c, d = source.area.bounds
         tall = max(
@@ -165,7 +181,8 @@ def occupied(job: Job) -> list[Obstacle]:
             if source.presents(piece)
         )
         size = (c - a, d - b, tall)
-        found.append(Obstacle(((a + c) / 2, (b + d) / 2), size, 0.0, 0.0, "the other arm's supply"))
+        middle = (a + c) / 2, (b + d) / 2
+        found.append(Obstacle(middle, size, 0.0, 0.0, "the other arm's supply", True))
     return found
 
 
@@ -192,6 +209,44 @@ def shared_out(
     return tuple(sorted(steps, key=key))
 
 
+def build_together(
+    plan: Plan,
+    members: Sequence[Member],
+    workcell: Workcell,
+    *,
+    joint: float = 1e-4,
+    progress: Progress = lambda text: None,
+) -> Plan:
+    """A complete plan of dry blocks, carried out by two arms in one simulated cell.
+
+    Args:
+        members: the arms, see :func:`~.team.set_up_team`.
+        workcell: how they build.
+        joint: width of a vertical joint [m].
+
+    Raises:
+        InputError: as :func:`gather`.
+    """
+    from learn2assemble.simulation.plant import DynamicPlant
+
+    started = time.perf_counter()
+    both = Together(gather(plan, members, workcell, joint), DynamicPlant)
+    reason = both.run(progress)
+    took = time.perf_counter() - started
+    turns = sorted(both.turns, key=lambda turn: turn.end)
+    tried = [Attempted(turn.arm, turn.done) for turn in turns]
+    built = carried_out(plan, both.worked, reason, took, both.plant, tried)
+    return replace(built, robot_s=round(both.seconds, 2))
+
+
+def _worker(
+    found: Prepared, workcell: Workcell, name: str, plant: Plant, witness: Witness
+) -> Worked:
+    """An arm before it begins."""
+    words = words_of(found.job, workcell)
+    return Worked(Building(found, workcell, plant, words, witness=witness), workcell, witness, name)
+
+
 @dataclass
 class Turn:
     """An attempt in the time line of a build by two arms."""
@@ -215,17 +270,17 @@ class Together(Generic[Cell]):
 
     def __init__(self, crew: Pair, opened: Callable[[Setup], Cell]) -> None:
         first, second = (one.job.arm for one in crew.found)
-        site = crew.workcells[0].site
-        own = replace(crew.found[0].job, obstacles=(*site.obstacles, *site.kept_out))
+        job = crew.found[0].job
+        own = replace(job, obstacles=tuple(one for one in job.obstacles if not one.arm))
         setup = setup_of(own, crew.workcells[0])._replace(others=(second,))
         self.plant, self.traffic = opened(setup), Traffic((first, second))
         self.arms = tuple(
             ArmInTraffic(self.plant.plants[who], self.traffic, who) for who in range(2)
         )
-        self.buildings = tuple(
-            Building(one, workcell, arm, words_of(one.job, workcell))
-            for one, workcell, arm in zip(crew.found, crew.workcells, self.arms, strict=True)
+        self.worked = tuple(
+            _worker(*one, Witness(self.plant)) for one in zip(*crew, self.arms, strict=True)
         )
+        self.buildings = tuple(one.building for one in self.worked)
         for who, building in enumerate(self.buildings):
             building.attempts.announce = self._announcer(who)
         self.begun = 0.0
@@ -311,9 +366,7 @@ class Together(Generic[Cell]):
         """One attempt; False where it did not begin."""
         building, world = self.buildings[who], self.buildings[who].world
         before, begin = list(world.state), building.plant.sense().time
-        # The record of an arm is on the clock of both: before the attempt it stood.
-        now = building.recording.recorder.now if building.recording.recorder.steps else 0.0
-        building.stood = max(begin - self.begun - now, 0.0)
+        building.stood = self._stood(who, begin)
         acted = building.act(action)
         self.traffic.over(who)
         if not acted:
@@ -323,11 +376,22 @@ class Together(Generic[Cell]):
         self._changed(who)
         self._tell(who, {k for k, state in enumerate(before) if world.state[k] != state})
         left = sum(not building.known.satisfied(step) for step in building.known.order)
-        progress(
-            f"arm {who + 1}, {end:.1f} s: {last.what} {world.pieces[action.block].id}: "
-            f"{last.outcome}{': ' + last.detail if last.detail else ''}, {left} steps left"
-        )
+        text = f"{self.worked[who].name}: {last.what} {world.pieces[action.block].id}: "
+        text += f"{last.outcome}{': ' + last.detail if last.detail else ''}, {left} steps left"
+        progress(Detail(text) if last.outcome == Outcome.REACHED.label else text)
         return True
+
+    def _stood(self, who: int, now: float) -> float:
+        """So long an arm has stood [s]: its record is on the clock of both, and tells what it did
+        before.
+
+        Args:
+            now: time of the plant [s].
+        """
+        building = self.buildings[who]
+        told = building.recording.recorder.now if building.recording.recorder.steps else 0.0
+        gone = 0.0 if building.gone is None else len(building.gone.joints) / RATE
+        return max(now - self.begun - told - gone, 0.0)
 
     def _go_home(self, who: int) -> None:
         """Out of the way of the other arm, where there is a free way."""
@@ -348,7 +412,12 @@ class Together(Generic[Cell]):
         try:
             for leg in itertools.pairwise(free_way(checker, building.joints, arm.home, "home")):
                 told = straight_motion(np.array(leg), attempts.planner.limits, "home")
-                building.joints = building.plant.execute(told, (), (EMPTY,)).joints
+                stood = self._stood(who, building.plant.sense().time)
+                report = building.plant.execute(told, (), (EMPTY,))
+                if report.played is not None:
+                    moved = StepMotion(*report.played[1:]).after(stood, building.joints)
+                    building.gone = moved if building.gone is None else building.gone.then(moved)
+                building.joints = report.joints
         except Failure:
             return  # It stands where it is, and the other one finds another block.
 

@@ -38,7 +38,8 @@ from learn2assemble.values import to_plain
 
 if TYPE_CHECKING:
     from learn2assemble.cli.output import Output
-    from learn2assemble.planning.plan import ArmReport, Plan
+    from learn2assemble.planning.plan import Plan
+    from learn2assemble.planning.reports import ArmReport
 
 _COMMANDS: dict[str, Command] = {}
 
@@ -141,8 +142,7 @@ STATE = "build.jsonl"
         "--arm",
         action="append",
         default=None,
-        help=f"an arm builds it: {' or '.join(ARMS)}; given twice, two arms are planned for, one "
-        "of which holds while the other one places",
+        help=f"an arm builds it: {' or '.join(ARMS)}; given twice, two arms build it together",
     ),
     arg(
         "--layout",
@@ -184,12 +184,13 @@ def _build(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 for a complete plan, 1 for an incomplete or refused one."""
     if options.preview is not None:
         return _preview(options, output)
-    from learn2assemble.jobs.build import build, builds_with_arm, is_task
+    from learn2assemble.jobs.build import arms_that_build, build, is_task
     from learn2assemble.planning.tiling.planners import PLANNERS
 
-    with_arm, task = builds_with_arm(options.design, options.arm), is_task(options.design)
-    video = options.video and with_arm
-    state = options.out / STATE if with_arm and not task else None
+    task = is_task(options.design)
+    arms = arms_that_build(options.design, options.arm, options.physics)
+    video = options.video and arms > 0
+    state = options.out / STATE if arms == 1 and not task else None
     if options.resume and (state is None or not state.exists()):
         return _resume_finished(options, output)
     planner = options.planner or (None if options.agent is None or task else "agent")
@@ -201,7 +202,7 @@ def _build(options: argparse.Namespace, output: Output) -> int:
         needs.append(("torch", "learn", ""))
     elif planner == "agent":
         needs.append(("safetensors", "learn", ""))
-    if with_arm and options.physics != "kinematic":
+    if arms and options.physics != "kinematic":
         needs.append(("ruckig", "robot", "" if task else "--physics kinematic"))
     if video:
         needs.append(("av", "video", "--no-video"))
@@ -303,6 +304,7 @@ def _summary(plan: Plan) -> dict[str, Any]:
         "gap_range": plan.gap_range,
         **({"arm": to_plain(plan.arm)} if plan.arm else {}),
         **({"arms": [to_plain(arm) for arm in plan.arms]} if plan.arms else {}),
+        **({"robot_s": plan.robot_s} if plan.robot_s is not None else {}),
         **(to_plain(plan.rebuilt) if plan.rebuilt else {}),
     }
 
@@ -351,11 +353,17 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
             f"proven for friction {proven['friction']} and vertical joints of {proven['joints']}"
         )
     if plan.arm is not None:
-        _print_arm(output, plan.arm)
-        blocks = plan.assembly.blocks if plan.assembly else ()
-        by_hand = [f"{s.step} ({s.action} {blocks[s.block].id})" for s in plan.steps if s.by_hand]
-        if by_hand:
-            output.say(f"by hand, while the arm waits: steps {', '.join(by_hand)}")
+        _print_arm(output, plan.arm, plan.arm.name)
+    for arm in plan.arms:
+        steps = sum(step.arm == arm.name for step in plan.steps)
+        output.say(f"arm {arm.name}: {steps} of {len(plan.steps)} steps, reaches {arm.reaches}")
+        if arm.did is not None:
+            _print_arm(output, arm.did, arm.name)
+    if plan.robot_s is not None:
+        output.say(f"{plan.robot_s:.0f} s of both arms until the last block")
+    blocks = plan.assembly.blocks if plan.assembly else ()
+    if by_hand := [f"{s.step} ({s.action} {blocks[s.block].id})" for s in plan.steps if s.by_hand]:
+        output.say(f"by hand, while the arm waits: steps {', '.join(by_hand)}")
     if waits := [f"{s.step} ({s.wait_h:g} h)" for s in plan.steps if s.wait_h is not None]:
         output.say(f"wait until the mortar holds before steps {', '.join(waits)}")
     if plan.reason:
@@ -364,15 +372,15 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
         output.say(f"{what}: {path}")
 
 
-def _print_arm(output: Output, arm: ArmReport) -> None:
-    """What the arm did."""
+def _print_arm(output: Output, arm: ArmReport, name: str) -> None:
+    """What an arm did, which steps call by a name."""
     for failure in arm.failures:
         after = "; the rest was planned anew" if failure.replanned else ""
         output.say(f"attempt {failure.attempt}: {failure.outcome} ({failure.detail}){after}")
     where = f" at [{', '.join(f'{v:g}' for v in arm.base[:3])}]" if arm.base else ""
     places = f"blocks from {arm.places} place{'s'[: arm.places != 1]}, " if arm.places else ""
     output.say(
-        f"arm {arm.name} with {arm.tool}{where}: {arm.attempts} attempts, {places}"
+        f"arm {name} with {arm.tool}{where}: {arm.attempts} attempts, {places}"
         f"{arm.seconds:.0f} s of robot time"
     )
     if arm.error_mean is not None and arm.error_worst is not None:

@@ -113,6 +113,9 @@ def _read_record(path: Path) -> BuildRecord:
     file = path / "trajectory.json" if path.is_dir() else path
     if file.name == "plan.json":
         file = file.with_name("trajectory.json")
+    if not file.is_file() and file.with_name("trajectory-1.json").is_file():
+        expected = "the trajectory-N.json of one of them: its program waits for no other arm"
+        raise InputError("PLAN", f"{path}, a build by several arms", expected)
     if not file.is_file():
         expected = "the folder of a build with an arm (l2a build --arm), or its trajectory.json"
         raise InputError("PLAN", str(path), expected)

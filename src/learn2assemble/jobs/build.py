@@ -115,8 +115,8 @@ def build(
         plates: of a design and a kit of bricks that clutch, whether cells are as high as a plate,
             and plates fill it where bricks do not; else cells are as high as a brick.
         arm: name of the arm that builds; by default none, for a task its own. Two names, also the
-            same twice: both build dry blocks, one holds while the other one places; they are
-            planned for with ``physics="kinematic"``, and nothing is carried out.
+            same twice: both build dry blocks in one cell; with ``physics="kinematic"`` they are
+            planned for alone, one of which may hold while the other one places.
         agent: of a design, a builder by name or ``.safetensors`` file; of a task, an agent, a
             shipped one by name, a ``.safetensors`` file or the folder of a training; by default one
             that knows problems like this.
@@ -144,7 +144,8 @@ def build(
             :class:`learn2assemble.design.reading.Reading`.
 
     Returns:
-        The plan: complete, incomplete or refused. With an arm, its motion is ``plan.record``.
+        The plan: complete, incomplete or refused. With an arm, its motion is ``plan.record``; with
+        two, theirs are ``plan.records``.
 
     Raises:
         InputError: for a design, arm, agent or layout that cannot be used.
@@ -310,12 +311,14 @@ def is_task(design: object) -> TypeGuard[str]:
     return isinstance(design, str) and design in PROBLEMS
 
 
-def builds_with_arm(design: object, arm: str | Sequence[str] | None = None) -> bool:
-    """Whether an arm would carry this out; arguments of :func:`build`."""
+def arms_that_build(
+    design: object, arm: str | Sequence[str] | None = None, physics: str = PHYSICS[0]
+) -> int:
+    """How many arms would carry this out; arguments of :func:`build`."""
     arms = arm_names(arm)
     if is_task(design):
-        return PROBLEMS[design].has_arm(arms[0] if arms else None)
-    return len(arms) == 1
+        return int(PROBLEMS[design].has_arm(arms[0] if arms else None))
+    return 0 if len(arms) > 1 and physics == PLANNED else len(arms)
 
 
 def arm_names(arm: Any) -> tuple[str, ...]:

@@ -34,7 +34,7 @@ studs is held by fingers alone."""
 
 PLANNED = "kinematic"
 PHYSICS = ("dynamic", PLANNED)
-"""Cells in which an arm carries out exact plans; two arms are planned for in the second alone."""
+"""Cells in which arms carry out exact plans; in the second one two arms are planned for alone."""
 
 
 class Help(NamedTuple):
@@ -64,10 +64,6 @@ class ArmChoice(NamedTuple):
         if self.tool is not None:
             check_name("tool", self.tool, TOOLS)
         check_name("physics", self.physics, PHYSICS)
-        if self.several and self.physics != PLANNED:
-            got = f"{len(self.arms)} arms"
-            expected = f"one, or physics={PLANNED}, which plans for two and carries nothing out"
-            raise InputError("arm", got, expected)
 
     @property
     def several(self) -> bool:
@@ -256,12 +252,13 @@ def team_plan(
     planner: PlannerChoice,
     given: dict[str, Any],
 ) -> Plan:
-    """The plan by which several arms build, which hold for one another.
+    """The plan by which several arms build, which hold for one another, and but for
+    ``physics="kinematic"`` the build.
 
     Raises:
         InputError: for what has no dry blocks, and for arms that cannot build it together.
     """
-    from learn2assemble.cell.team import plan_by_team
+    from learn2assemble.cell.team import plan_by_team, set_up_team
 
     if isinstance(design, Goals):
         raise InputError("goals", f"{len(how.arms)} arms", "one arm, or a design")
@@ -270,15 +267,32 @@ def team_plan(
     arms, site = how.team()
     options = {name: value for name, value in given.items() if name != "progress"}
     posts, progress = help_.supports != "none", given["progress"]
+    if site.cameras:
+        raise InputError("layout", "cameras", "none, for several arms")
+
+    def built(assembly: Assembly, joint: float) -> Plan:
+        members = set_up_team(assembly, arms, site)
+        plan = plan_by_team(assembly, members, posts=posts, options=options, progress=progress)
+        if how.physics == PLANNED or not plan.complete:
+            return plan
+        from learn2assemble.cell.together import build_together
+        from learn2assemble.cell.workcell import Workcell
+
+        first = members[0].job.arm
+        cell = Workcell(
+            first.name, first.tool_name, site, how.physics, how.seed, how.noise, hands=True
+        )
+        return build_together(plan, members, cell, joint=joint, progress=progress)
+
     if isinstance(design, Assembly):
-        return plan_by_team(design, arms, site, posts=posts, options=options, progress=progress)
+        return built(design, 0.0)
     kit = kit_of(design, kit)
     plan = cells_plan(design, kit, None, posts, planner, given)
     if not plan.complete or plan.assembly is None:
         return plan
     if options["gap"] is None:
         options["gap"] = kit.joint_gap  # Side faces carry nothing.
-    found = plan_by_team(plan.assembly, arms, site, posts=posts, options=options, progress=progress)
+    found = built(plan.assembly, kit.joint_gap)
     return replace(
         found,
         design=plan.design,

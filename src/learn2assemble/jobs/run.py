@@ -17,7 +17,7 @@ import numpy as np
 from learn2assemble.cell.building import Building, Kept, Prepared
 from learn2assemble.cell.cameras import no_pictures, through_cameras
 from learn2assemble.cell.carry_out import key_of, prepare, setup_of
-from learn2assemble.cell.report import Witness, carried_out, words_of
+from learn2assemble.cell.report import Witness, Worked, carried_out, words_of
 from learn2assemble.cell.site import Site, read_site
 from learn2assemble.cell.state import Action
 from learn2assemble.cell.workcell import Workcell
@@ -176,7 +176,8 @@ def run(
     if not isinstance(plan, Plan):
         plan = load_plan(plan)
     if plan.arm is None or plan.assembly is None or not plan.complete:
-        got = f"{plan.status}, {'without an arm' if plan.arm is None else plan.arm.name}"
+        who = f"by {len(plan.arms)} arms" if plan.arms else "without an arm"
+        got = f"{plan.status}, {who if plan.arm is None else plan.arm.name}"
         raise InputError("plan", got, "a complete plan of an arm (`arm=`)")
     if not 0 < speed <= 1:
         raise InputError("speed", speed, "a share, above 0 and at most 1")
@@ -251,7 +252,7 @@ def _run(
     before, begun = satisfied(), timed.last
     reason = building.run(progress, go_on)
     took = time.perf_counter() - started
-    done = carried_out(plan, building, workcell, reason, took, plant, witness)
+    done = carried_out(plan, [Worked(building, workcell, witness)], reason, took, plant)
     seconds, placed = max(timed.last - begun, 0.0), satisfied() - before
     return Ran(done, building.stopped, reason, placed, round(seconds, 2), timed.link(plant))
 

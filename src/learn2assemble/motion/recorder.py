@@ -41,20 +41,22 @@ class StepMotion(NamedTuple):
         count = round(seconds * RATE)
         if not count or not len(self.joints):
             return self
-        lag = count / RATE
+        still = np.zeros((count, self.velocity.shape[1]))
+        width, command = (np.repeat(values[:1], count) for values in (self.width, self.command))
+        there = np.repeat(there[None], count, axis=0)
+        return StepMotion(there, still, width, command).then(self)
 
-        def held(values: np.ndarray) -> np.ndarray:
-            return np.concatenate([np.repeat(values[:1], count, axis=0), values])
-
-        velocity = np.concatenate([np.zeros((count, self.velocity.shape[1])), self.velocity])
+    def then(self, other: StepMotion) -> StepMotion:
+        """The same before another one, whose step it belongs to."""
+        lag = len(self.joints) / RATE
         return StepMotion(
-            np.concatenate([np.repeat(there[None], count, axis=0), self.joints]),
-            velocity,
-            held(self.width),
-            held(self.command),
-            [Stage(one.name, one.start + lag, one.end + lag) for one in self.stages],
-            None if self.grip is None else self.grip + lag,
-            None if self.release is None else self.release + lag,
+            np.concatenate([self.joints, other.joints]),
+            np.concatenate([self.velocity, other.velocity]),
+            np.concatenate([self.width, other.width]),
+            np.concatenate([self.command, other.command]),
+            [Stage(one.name, one.start + lag, one.end + lag) for one in other.stages],
+            None if other.grip is None else other.grip + lag,
+            None if other.release is None else other.release + lag,
         )
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from learn2assemble.errors import InputError
 from learn2assemble.files import MAX_GENERATED, as_path, read_json, write_file
-from learn2assemble.planning.reports import BuilderArm, RebuildReport
+from learn2assemble.planning.reports import ArmReport, BuilderArm, RebuildReport
 from learn2assemble.registry import Registry
 from learn2assemble.values import Range, from_plain, integer, mapping, to_plain
 
@@ -205,52 +205,6 @@ def block_step(number: int, index: int, block: Block, action: Action, coverage: 
 
 
 @dataclass(frozen=True)
-class ArmFailure:
-    """An attempt of the arm that failed."""
-
-    attempt: Count
-    outcome: str
-    detail: str
-    replanned: bool
-
-
-@dataclass(frozen=True)
-class ArmReport:
-    """What the arm did."""
-
-    name: str
-    pitch: Metre
-    """Horizontal distance of neighbouring blocks."""
-    attempts: Count
-    failures: tuple[ArmFailure, ...]
-    seconds: Seconds
-    """How long the arm took."""
-    tool: str = "gripper"
-    """What it held blocks with."""
-    base: tuple[Metre, Metre, Metre, Annotated[float, Range(-100, 100)]] | None = None
-    """x, y, z of its base [m], and the direction it faces [rad from x]."""
-    places: Count | None = None
-    """Poses at which blocks were taken: magazines, and places of single blocks."""
-    attempts_per_step: Annotated[float, Range(0, 1e6)] | None = None
-    """Attempts over blocks placed and props taken away; 1 where nothing failed."""
-    error_mean: Metre | None = None
-    """Mean distance of the blocks from their places at the end [m] ..."""
-    error_worst: Metre | None = None
-    """... and the largest."""
-    belief_error: Metre | None = None
-    """Largest distance of a block from where it was believed to be at the end, where a simulation
-    can tell [m]."""
-    overlap: Annotated[float, Range(-1e3, 1e3)] | None = None
-    """By which two blocks overlap at most at the end [m]; not above 0: they do not."""
-    error_on_table: Metre | None = None
-    """Largest distance of a block from its place on the table as it really is, where a simulation
-    has one that is higher, lower or leans [m]."""
-    motion_fault: str | None = None
-    """Why no robot is to be given the recorded motion, if it is not sound; the build is as it is
-    told."""
-
-
-@dataclass(frozen=True)
 class CellCount:
     """The drawing as cells of the kit's lattice."""
 
@@ -314,11 +268,13 @@ class Plan:
     """Where the steps begin at a structure that stands already."""
     arm: ArmReport | None = None
     arms: tuple[BuilderArm, ...] = ()
-    """Where several arms build: who they are."""
-    record: BuildRecord | None = field(
-        default=None, compare=False, repr=False, metadata={"file": False}
+    """Where several arms build: who they are, and what they did."""
+    robot_s: Seconds | None = None
+    """Where several arms have built: their time until the last block was placed."""
+    records: tuple[BuildRecord, ...] = field(
+        default=(), compare=False, repr=False, metadata={"file": False}
     )
-    """With an arm: its motion, which ``trajectory.json`` holds."""
+    """The motion of each arm that has built, on one clock; :func:`trajectory_names`."""
     assembly: Assembly | None = field(
         default=None, compare=False, repr=False, metadata={"file": False}
     )
@@ -341,6 +297,11 @@ class Plan:
             if abs(sum(q * q for q in step.quaternion) - 1) > 1e-2:
                 expected = "(w, x, y, z) of length 1"
                 raise InputError(f"{where}.quaternion", step.quaternion, expected)
+
+    @property
+    def record(self) -> BuildRecord | None:
+        """With one arm: its motion, which ``trajectory.json`` holds."""
+        return self.records[0] if len(self.records) == 1 else None
 
     @property
     def complete(self) -> bool:
@@ -409,11 +370,12 @@ class Plan:
         file = as_path(path, "plan")
         file = file / "plan.json" if file.is_dir() else file
         plan = cls.from_dict(*read_json(file, "plan.json or its folder", MAX_GENERATED))
-        trajectory = file.with_name("trajectory.json")
-        if trajectory.exists():
+        names = trajectory_names(max(len(plan.arms), 1))
+        motions = [file.with_name(f"{name}.json") for name in names]
+        if all(motion.exists() for motion in motions):
             from learn2assemble.motion.files import read_record
 
-            plan = dataclasses.replace(plan, record=read_record(trajectory))
+            plan = dataclasses.replace(plan, records=tuple(map(read_record, motions)))
         blocks = file.with_name("assembly.json")
         if blocks.exists():
             from learn2assemble.assembly.files import read_assembly
@@ -456,30 +418,37 @@ class Plan:
             files |= EXPORTS["assembly"](self, folder)
         if page:
             files |= self.write_page(folder)
-        if self.record is not None:
+        for name, record in zip(trajectory_names(len(self.records)), self.records, strict=True):
             from learn2assemble.motion.files import write_csv, write_record
 
-            files["trajectory"] = folder / "trajectory.json"
-            files["trajectory table"] = folder / "trajectory.csv"
-            write_record(self.record, files["trajectory"])
-            write_csv(self.record, files["trajectory table"])
-            if video and self.record.steps:
-                progress("drawing the video")
-                files |= EXPORTS["video"](self, folder)
+            what = name.replace("-", " ")
+            files[what], files[f"{what} table"] = (folder / f"{name}{x}" for x in (".json", ".csv"))
+            write_record(record, files[what])
+            write_csv(record, files[f"{what} table"])
+        if video and any(record.steps for record in self.records):
+            progress("drawing the video")
+            files |= EXPORTS["video"](self, folder)
         return files
 
     def _with_fault(self, progress: Callable[[str], None]) -> Plan:
-        """The same, with what is wrong with the motion of the arm, if anything is."""
-        if self.record is None or self.arm is None:
+        """The same, with what is wrong with the motion of an arm, if anything is."""
+        did = [self.arm] if self.arm is not None else [one.did for one in self.arms]
+        if len(did) != len(self.records) or None in did:
             return self
         from learn2assemble.motion.record import find_fault
 
-        fault = find_fault(self.record)
-        if fault is None:
-            return self
-        progress(f"the recorded motion is not sound: {fault}")
-        arm = dataclasses.replace(self.arm, motion_fault=fault)
-        return dataclasses.replace(self, arm=arm)
+        faults = [find_fault(record) for record in self.records]
+        for fault in filter(None, faults):
+            progress(f"the recorded motion is not sound: {fault}")
+        told = [
+            None if one is None or fault is None else dataclasses.replace(one, motion_fault=fault)
+            for one, fault in zip(did, faults, strict=True)
+        ]
+        if self.arm is not None:
+            return dataclasses.replace(self, arm=told[0] or self.arm)
+        arms = zip(self.arms, told, strict=True)
+        named = tuple(dataclasses.replace(a, did=new) if new else a for a, new in arms)
+        return dataclasses.replace(self, arms=named)
 
     def write_page(self, folder: Path) -> dict[str, Path]:
         """Write ``view.html`` and ``progress.png``; which file is what."""
@@ -490,6 +459,11 @@ Exporter = Callable[[Plan, Path], dict[str, Path]]
 """Writes something of a plan into a folder; returns which file is what."""
 EXPORTS: Registry[Exporter] = Registry("export", {})
 """What can be written of a plan, besides itself."""
+
+
+def trajectory_names(arms: int) -> list[str]:
+    """What the files of the motions of so many arms are called, without their ends."""
+    return ["trajectory"] if arms == 1 else [f"trajectory-{n}" for n in range(1, arms + 1)]
 
 
 def load_plan(path: str | Path) -> Plan:

@@ -9,6 +9,7 @@ from learn2assemble.values import Range
 
 Count = Annotated[int, Range(0, 1e6)]
 Metre = Annotated[float, Range(-1e3, 1e3)]
+Seconds = Annotated[float, Range(0, 1e9)]
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,52 @@ class RebuildReport:
 
 
 @dataclass(frozen=True)
+class ArmFailure:
+    """An attempt of the arm that failed."""
+
+    attempt: Count
+    outcome: str
+    detail: str
+    replanned: bool
+
+
+@dataclass(frozen=True)
+class ArmReport:
+    """What the arm did."""
+
+    name: str
+    pitch: Metre
+    """Horizontal distance of neighbouring blocks."""
+    attempts: Count
+    failures: tuple[ArmFailure, ...]
+    seconds: Seconds
+    """How long the arm took."""
+    tool: str = "gripper"
+    """What it held blocks with."""
+    base: tuple[Metre, Metre, Metre, Annotated[float, Range(-100, 100)]] | None = None
+    """x, y, z of its base [m], and the direction it faces [rad from x]."""
+    places: Count | None = None
+    """Poses at which blocks were taken: magazines, and places of single blocks."""
+    attempts_per_step: Annotated[float, Range(0, 1e6)] | None = None
+    """Attempts over blocks placed and props taken away; 1 where nothing failed."""
+    error_mean: Metre | None = None
+    """Mean distance of the blocks from their places at the end [m] ..."""
+    error_worst: Metre | None = None
+    """... and the largest."""
+    belief_error: Metre | None = None
+    """Largest distance of a block from where it was believed to be at the end, where a simulation
+    can tell [m]."""
+    overlap: Annotated[float, Range(-1e3, 1e3)] | None = None
+    """By which two blocks overlap at most at the end [m]; not above 0: they do not."""
+    error_on_table: Metre | None = None
+    """Largest distance of a block from its place on the table as it really is, where a simulation
+    has one that is higher, lower or leans [m]."""
+    motion_fault: str | None = None
+    """Why no robot is to be given the recorded motion, if it is not sound; the build is as it is
+    told."""
+
+
+@dataclass(frozen=True)
 class BuilderArm:
     """One of several arms that build."""
 
@@ -43,3 +90,6 @@ class BuilderArm:
     """x, y, z of its base [m], and the direction it faces [rad from x]."""
     reaches: Count
     """How many of the blocks of the structure it reaches."""
+    did: ArmReport | None = None
+    """Where it has built: what it did; errors are those of the blocks that it placed last, the
+    overlap is that of all."""

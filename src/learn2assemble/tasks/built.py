@@ -15,6 +15,7 @@ from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.record import BuildRecord
 from learn2assemble.planning import plan as plans
 from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.reports import ArmFailure, ArmReport
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.tasks.playing import BUDGETS, STAGES
 from learn2assemble.tasks.standing import RealCell
@@ -112,14 +113,14 @@ def plan_of(build: Built, agent: str, source: str, started: float) -> Plan:
         ]
     )
     failures = tuple(
-        plans.ArmFailure(step.number, step.outcome.label, step.detail, step.replanned)
+        ArmFailure(step.number, step.outcome.label, step.detail, step.replanned)
         for step in real.log.steps
         if step.outcome != Outcome.REACHED
     )
-    report = plans.ArmReport(
+    report = ArmReport(
         real.cell.arm.name, task.pitch, len(real.log.steps), failures, round(real.log.now, 2)
     )
-    return replace(plan, arm=report, record=_renumbered(real.log.record(), list(known)))
+    return replace(plan, arm=report, records=(_renumbered(real.log.record(), list(known)),))
 
 
 def _target(name: str, frame: np.ndarray, outline: np.ndarray) -> plans.PlanTarget:

@@ -36,6 +36,5 @@ def _page(plan: Plan, folder: Path) -> dict[str, Path]:
 def _video(plan: Plan, folder: Path) -> dict[str, Path]:
     from learn2assemble.viewer.video import write_video
 
-    assert plan.record is not None
-    write_video(plan, plan.record, folder / "build.mp4")
+    write_video(plan, plan.records, folder / "build.mp4")
     return {"video": folder / "build.mp4"}

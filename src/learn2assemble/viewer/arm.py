@@ -1,4 +1,4 @@
-"""What pages with an arm have in common: its motion as data for the scripts, and its attempts."""
+"""What pages with arms have in common: their motion as data for the scripts, and attempts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.shape import LinkPart
 from learn2assemble.viewer.errors import truth_data
 from learn2assemble.viewer.html import NUMBER, packed, row, speed_options, to_base64
-from learn2assemble.viewer.playback import Playback, split
+from learn2assemble.viewer.playback import Playback, PlayedArm, ReplaySegment, split
 from learn2assemble.viewer.words import (
     OUTCOME_WORDS,
     arm_summary,
@@ -25,6 +25,13 @@ from learn2assemble.viewer.words import (
 
 _SPEEDS = (1, 2, 4, 8, 16)
 _SPEED = 4
+
+
+_BARS = (
+    "The bar above the slider shows",
+    "The bars above the slider, one of each arm, show",
+)
+"""Of one arm, of several."""
 
 
 NEAR_VIEW = '<button type="button" id="near-view">Near view</button>'
@@ -42,10 +49,14 @@ class Labels(NamedTuple):
     captions: tuple[str, ...]
     """Of the start and of every step."""
 
-    def of_step(self, step: StepRecord) -> str:
-        """What a step of the record comes to, in one or two sentences."""
+    def of_step(self, step: StepRecord, arm: str = "") -> str:
+        """What a step of the record comes to, in one or two sentences.
+
+        Args:
+            arm: whose it is, where there are several.
+        """
         if step.outcome == Outcome.REACHED and step.plan_step is not None:
-            return self.captions[step.plan_step]
+            return self.captions[step.plan_step] + (f" Placed by {arm}." if arm else "")
         block = self.names[step.cells[0]]
         text = f"{block[0].upper()}{block[1:]}: {step.outcome.label}. {sentence(step.detail)}"
         if step.replanned:
@@ -68,81 +79,91 @@ def arm_values(playback: Playback) -> dict[str, str]:
             '<span class="chip good" id="outcome">end</span></p>'
         ),
         "keys_note": " At speed 1× the clock is the arm's own. "
-        "The bar above the slider shows every attempt; red ones failed.",
+        f"{_BARS[len(playback.arms) > 1]} every attempt; red ones failed.",
     }
 
 
 def arm_section(playback: Playback, names: Sequence[str]) -> str:
     """The table of attempts with its heading; names of the blocks by cell."""
     record = playback.record
+    several = len(playback.arms) > 1
     rows = "".join(
-        _attempt(k, step, names[step.cells[0]]) for k, step in enumerate(record.steps, 1)
+        _attempt(
+            k, segment, names[segment.step.cells[0]], several and playback.arms[segment.arm].name
+        )
+        for k, segment in enumerate(playback.segments, 1)
     )
     return (
-        '<section class="attempts" aria-labelledby="arm-title"><h2 id="arm-title">What the arm '
-        f'did</h2><p class="lead">Arm {escape(record.arm.name)}, {escape(arm_summary(record))}, '
-        f"simulated by {escape(record.simulated_by)}.</p>"
-        '<div class="scroll"><table><thead><tr><th>Attempt</th><th>Object</th><th>Outcome</th>'
+        '<section class="attempts" aria-labelledby="arm-title"><h2 id="arm-title">What the '
+        f'{"arms" if several else "arm"} did</h2><p class="lead">{escape(arms_words(playback))}, '
+        f"{escape(arm_summary(record))}, simulated by {escape(record.simulated_by)}.</p>"
+        f'<div class="scroll"><table><thead><tr><th>Attempt</th>{"<th>Arm</th>" * several}'
+        "<th>Object</th><th>Outcome</th>"
         '<th>Why</th><th class="number">Off by</th><th class="number">Time</th></tr></thead>'
         f"<tbody>{rows}</tbody></table></div></section>\n  "
     )
 
 
-def _attempt(number: int, step: StepRecord, name: str) -> str:
-    """What became of a step: how far the cell stands from where it should, and how long it took."""
+def arms_words(playback: Playback) -> str:
+    """Who builds."""
+    names = " and ".join(arm.name for arm in playback.arms)
+    return f"Arms {names}" if len(playback.arms) > 1 else f"Arm {names}"
+
+
+def _attempt(number: int, segment: ReplaySegment, name: str, arm: str | bool) -> str:
+    """What became of a step: how far the cell stands from where it should, and how long it took.
+
+    Args:
+        arm: whose it is, where that is told.
+    """
+    step = segment.step
+    seconds = step.seconds if not arm else segment.end - segment.start
     good = step.outcome == Outcome.REACHED
     again = ' <span class="tag">planned anew</span>' if step.replanned else ""
     outcome = f'class="{"yes" if good else "no"}" title="{escape(OUTCOME_WORDS[step.outcome])}"'
     cells = [
         str(number),
+        *([escape(str(arm))] if arm else []),
         escape(name),
         step.outcome.label,
         escape(sentence(step.detail)) + again,
         f"{1000 * step.error:.1f} mm" if good else "–",
-        f"{step.seconds:.1f} s",
+        f"{seconds:.1f} s",
     ]
-    of_cells = {2: outcome, 4: NUMBER, 5: NUMBER}
+    of_cells = {k + bool(arm): what for k, what in ((2, outcome), (4, NUMBER), (5, NUMBER))}
     return row(cells, of_cells, f'data-segment="{number - 1}"', f"Show attempt {number}")
 
 
 def ribbon(playback: Playback) -> str:
-    """All steps side by side as long as they take; a click shows one."""
-    parts = []
+    """All steps side by side as long as they take, one lane an arm; a click shows one."""
+    parts, lanes = [], len(playback.arms)
+    high = 10 if lanes == 1 else 8
     for k, segment in enumerate(playback.segments):
         step = segment.step
         width = 1000 * (segment.end - segment.start) / playback.duration
         left = 1000 * segment.start / playback.duration
         state = "reached" if step.outcome == Outcome.REACHED else "failed"
         parts.append(
-            f'<rect class="{state}" data-segment="{k}" x="{left:.2f}" y="0" '
-            f'width="{max(width - 1.2, 0.5):.2f}" height="10"><title>Attempt {k + 1}: '
+            f'<rect class="{state}" data-segment="{k}" x="{left:.2f}" y="{10 * segment.arm}" '
+            f'width="{max(width - 1.2, 0.5):.2f}" height="{high}"><title>Attempt {k + 1}: '
+            f"{f'{escape(playback.arms[segment.arm].name)}, ' * (lanes > 1)}"
             f"{step.outcome.label}, {clock_words(segment.start)} to "
             f"{clock_words(segment.end)}</title></rect>"
         )
     return (
-        '<svg class="ribbon" viewBox="0 0 1000 10" preserveAspectRatio="none" role="img" '
+        f'<svg class="ribbon{" lanes" * (lanes > 1)}" viewBox="0 0 1000 {10 * lanes}" '
+        'preserveAspectRatio="none" role="img" '
         f'aria-label="{len(playback.segments)} attempts on the timeline">{"".join(parts)}</svg>'
     )
 
 
 def arm_data(playback: Playback, labels: Labels) -> dict[str, Any]:
-    """What the scripts need to move the arm: metres, seconds, radians, quaternions (w, x, y, z)."""
-    record, shape = playback.record, playback.shape
-    chain, samples = shape.chain, playback.samples
+    """What the scripts need to move arms: metres, seconds, radians, quaternions (w, x, y, z)."""
+    record = playback.record
     return {
         "rate": record.rate,
         "duration": _short(playback.duration),
-        "joints": [
-            {"offset": offset, "turn": matrix_quaternion(turn)}
-            for offset, turn in zip(chain.offset, chain.turn, strict=True)
-        ],
-        "tool": {"offset": chain.tool_offset, "turn": matrix_quaternion(chain.tool_turn)},
-        "fingers": [
-            {"offset": f.offset, "turn": matrix_quaternion(f.turn), "travel": f.travel}
-            for f in shape.fingers
-        ],
-        "parts": [_part(part) for part in shape.parts],
-        "samples": packed(np.column_stack([samples.joints, samples.width]), np.uint16),
+        "robots": [_robot(arm) for arm in playback.arms],
         "cells": [
             {
                 "kind": colour,
@@ -171,13 +192,33 @@ def arm_data(playback: Playback, labels: Labels) -> dict[str, Any]:
     }
 
 
+def _robot(arm: PlayedArm) -> dict[str, Any]:
+    """An arm: its joints, what is drawn of it, and its motion."""
+    chain, samples = arm.shape.chain, arm.samples
+    return {
+        "name": arm.name,
+        "joints": [
+            {"offset": offset, "turn": matrix_quaternion(turn)}
+            for offset, turn in zip(chain.offset, chain.turn, strict=True)
+        ],
+        "tool": {"offset": chain.tool_offset, "turn": matrix_quaternion(chain.tool_turn)},
+        "fingers": [
+            {"offset": f.offset, "turn": matrix_quaternion(f.turn), "travel": f.travel}
+            for f in arm.shape.fingers
+        ],
+        "parts": [_part(part) for part in arm.shape.parts],
+        "samples": packed(np.column_stack([samples.joints, samples.width]), np.uint16),
+    }
+
+
 def _segment(playback: Playback, number: int, labels: Labels) -> dict[str, Any]:
     segment = playback.segments[number]
     step, delay = segment.step, segment.delay
-    block, suction = labels.names[step.cells[0]], playback.record.arm.suction
+    block, arm = labels.names[step.cells[0]], playback.arms[segment.arm]
     last = playback.segments[number - 1].step.after if number else step.before
     appeared = np.flatnonzero(np.abs(step.before - last).max(1) > 1e-9).tolist()
     return {
+        "robot": segment.arm,
         "start": _short(segment.start),
         "end": _short(segment.end),
         "delay": _short(delay),
@@ -187,10 +228,14 @@ def _segment(playback: Playback, number: int, labels: Labels) -> dict[str, Any]:
         "target": step.target,
         "reached": step.outcome == Outcome.REACHED,
         "outcome": step.outcome.label,
-        "caption": labels.of_step(step),
+        "caption": labels.of_step(step, arm.name if len(playback.arms) > 1 else ""),
         "still": f"cannot move: {step.outcome.label}",
         "stages": [
-            [_short(s.start + delay), _short(s.end + delay), stage_words(step, s, block, suction)]
+            [
+                _short(s.start + delay),
+                _short(s.end + delay),
+                stage_words(step, s, block, arm.suction),
+            ]
             for s in step.stages
         ],
         "before": {str(cell): split(step.before[cell]) for cell in appeared},
@@ -206,11 +251,13 @@ def _segment(playback: Playback, number: int, labels: Labels) -> dict[str, Any]:
 
 
 def extent(playback: Playback) -> np.ndarray:
-    """float64[m, 3]: outermost points of what the arm's joints and tool reach [m, world]."""
-    points = [playback.shape.chain.offset[0] * [1, 1, 0]]
-    joints = playback.samples.joints
-    for q in joints[:: max(1, len(joints) // 200)]:
-        points += [*playback.shape.frames(q, 0.0)[0], playback.shape.tool(q)[0]]
+    """float64[m, 3]: outermost points of what joints and tools of arms reach [m, world]."""
+    points: list[np.ndarray] = []
+    for arm in playback.arms:
+        points.append(arm.shape.chain.offset[0] * [1, 1, 0])
+        joints = arm.samples.joints
+        for q in joints[:: max(1, len(joints) // 200)]:
+            points += [*arm.shape.frames(q, 0.0)[0], arm.shape.tool(q)[0]]
     reached = np.array(points)
     around = [v for v in np.ndindex(3, 3, 3) if v != (1, 1, 1)]
     return reached[np.unique((reached @ (np.array(around).T - 1.0)).argmax(0))]

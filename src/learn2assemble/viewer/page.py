@@ -23,7 +23,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.files import write_file
 from learn2assemble.planning.plan import LARGEST, Plan
 from learn2assemble.viewer import scene, tables
-from learn2assemble.viewer.arm import NEAR_VIEW, arm_data, arm_section, arm_values
+from learn2assemble.viewer.arm import NEAR_VIEW, arm_data, arm_section, arm_values, arms_words
 from learn2assemble.viewer.errors import error_section
 from learn2assemble.viewer.html import fact_list, speed_options, stand_alone
 from learn2assemble.viewer.playback import Playback
@@ -144,8 +144,8 @@ def render_assembly_page(
         "The build" if steps else "What was asked for" if asked else "The structure"
     )
     scripts = _SCRIPTS
-    if plan is not None and plan.record is not None and plan.record.steps:
-        playback = Playback(plan.record, plan)
+    if plan is not None and any(record.steps for record in plan.records):
+        playback = Playback(plan.records, plan)
         labels = cell_labels(assembly, playback.blocks, captions)
         data["arm"] = arm_data(playback, labels)
         page |= {**arm_values(playback), "body": "movable assembly with-arm"}
@@ -154,7 +154,7 @@ def render_assembly_page(
         page["legend"] += tables.entry("goal", "where this step puts it")
         page["legend"] += tables.entry("soft", "not in use") * (None in playback.blocks)
         page["summary"] += escape(
-            f" Built by the arm {playback.record.arm.name}: {arm_summary(playback.record)}."
+            f" Built by {arms_words(playback).lower()}: {arm_summary(playback.record)}."
         )
         if data["arm"]["truth"] is not None:
             words = "where a block really is, errors {} times as large"
@@ -326,6 +326,7 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
     props = sum(step.prop and step.action == "place" for step in plan.steps)
     holds = sum(step.action == "hold" for step in plan.steps)
     facts: list[tuple[str, str | None]] = [
+        ("arms", ", ".join(_who(plan, arm.name) for arm in plan.arms)),
         ("planner", plan.planner),
         ("agent", plan.agent),
         ("search", plan.search.needed if plan.search and targets else None),
@@ -354,6 +355,12 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
         facts.append(("push not computed", f"{left} of {len(plan.steps)} steps"))
     facts += [(f"proven for {what}", words) for what, words in plan.proven_for.items()]
     return [(name, value) for name, value in facts if value]
+
+
+def _who(plan: Plan, name: str) -> str:
+    """An arm, and how many steps are its."""
+    steps = sum(step.arm == name for step in plan.steps)
+    return f"{name} ({count_words(steps, 'step')})"
 
 
 def _weakest(plan: Plan) -> str:

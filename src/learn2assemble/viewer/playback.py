@@ -1,4 +1,4 @@
-"""Playing a record: where the arm and every cell are at any time, for the page and the video.
+"""Playing records: where arms and every cell are at any time, for the page and the video.
 
 The clock of a replay is the time of the record, with a pause for steps in which the arm does not
 move, so that they can be read. Between samples joints are interpolated; what is held follows the
@@ -8,6 +8,8 @@ tool; what moves otherwise glides from where it was to where the record says it 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +21,7 @@ from learn2assemble.geometry.rotations import (
     matrix_quaternion,
     quaternion_product,
 )
+from learn2assemble.motion.merged import merged
 from learn2assemble.motion.record import BuildRecord, Samples, StepRecord
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
@@ -59,6 +62,8 @@ class Glide(NamedTuple):
 class ReplaySegment(NamedTuple):
     """A step of the record on the clock of the replay."""
 
+    arm: int
+    """Number of the arm."""
     step: StepRecord
     start: float
     """[s]."""
@@ -68,25 +73,41 @@ class ReplaySegment(NamedTuple):
     glides: tuple[Glide, ...]
 
 
+class PlayedArm(NamedTuple):
+    """An arm that is drawn."""
+
+    name: str
+    """As steps call it, or what it is."""
+    suction: bool
+    shape: ArmShape
+    samples: Samples
+    """Of the whole build."""
+
+
 class Playback:
-    """A record, ready to be drawn.
+    """Records of a build, of an arm each, ready to be drawn.
 
     Raises:
         UnknownNameError: for an arm that does not exist.
         InputError: where the record does not fit the arm or the plan.
     """
 
-    def __init__(self, record: BuildRecord, plan: Plan) -> None:
-        facts = record.arm
-        arm = get_arm(facts.name, facts.tool_name, (*facts.base_position.tolist(), facts.base_yaw))
-        _fits(record, plan, arm)
+    def __init__(self, records: Sequence[BuildRecord], plan: Plan) -> None:
+        names = [arm.name for arm in plan.arms] or [record.arm.name for record in records]
+        self.arms = tuple(
+            _played(record, name) for record, name in zip(records, names, strict=True)
+        )
+        self.steps = merged(records)
+        record = max(records, key=lambda one: one.num_cells)
+        if len(records) > 1:
+            record = replace(record, steps=tuple(one.step for one in self.steps))
+        _fits(record, plan)
         self.record = record
+        """Of all arms: the cells, and the attempts in the order in which they ended."""
         self.blocks = block_of_cell(record, plan)
         cube = np.full((record.num_cells, 3), record.block_edge / 2)
         self.half = cube if record.half is None else record.half
         """float64[C, 3]: half extents of every cell [m]."""
-        self.shape: ArmShape = arm_shape(arm)
-        self.samples = _samples(record, arm)
         self.segments = tuple(self._segments())
 
     @property
@@ -96,10 +117,10 @@ class Playback:
 
     @property
     def side(self) -> float:
-        """The side of the structure on which the arm stands: angle [rad] about z, 0 for -x; whole
-        steps of 15 degrees."""
+        """The side of the structure on which the first arm stands: angle [rad] about z, 0 for -x;
+        whole steps of 15 degrees."""
         after = self.record.steps[-1].after
-        away = self.shape.chain.offset[0, :2] - after[after[:, 2] > 0, :2].mean(0)
+        away = self.arms[0].shape.chain.offset[0, :2] - after[after[:, 2] > 0, :2].mean(0)
         step = math.radians(15)
         return step * round(math.atan2(-away[1], -away[0]) / step)
 
@@ -110,19 +131,28 @@ class Playback:
                 return segment
         return self.segments[-1]
 
-    def arm_at(self, clock: float) -> tuple[np.ndarray, float]:
-        """Joints float64[n] [rad] and opening [m]."""
+    def active_at(self, clock: float) -> list[ReplaySegment]:
+        """The steps at a time of the replay, the one that ends next first."""
+        now = self.segment_at(clock)
+        later = self.segments[self.segments.index(now) + 1 :]
+        return [now, *(segment for segment in later if segment.start < clock)]
+
+    def arm_at(self, clock: float, arm: int = 0) -> tuple[np.ndarray, float]:
+        """Joints float64[n] [rad] of an arm, and its opening [m]."""
         segment = self.segment_at(clock)
         # A step without samples finds the arm as the one before has left it.
         return self._arm(
-            (clock if len(segment.step.samples.time) else segment.start) - segment.delay
+            arm, (clock if len(segment.step.samples.time) else segment.start) - segment.delay
         )
 
     def cells_at(self, clock: float) -> tuple[np.ndarray, np.ndarray]:
         """Where all cells are: float64[C, 3] [m, world] and float64[C, 4] (w, x, y, z)."""
-        segment = self.segment_at(clock)
-        position, quaternion = split(segment.step.before)
-        for glide in segment.glides:
+        active = self.active_at(clock)
+        position, quaternion = split(active[0].step.before)
+        for segment in active[1:]:
+            own = list(segment.step.cells)
+            position[own], quaternion[own] = split(segment.step.before[own])
+        for segment, glide in ((one, glide) for one in active for glide in one.glides):
             c = glide.cell
             if glide.grip is None or clock >= glide.release:
                 share = (clock - glide.release) / max(glide.end - glide.release, 1e-9)
@@ -133,19 +163,19 @@ class Playback:
                 quaternion[c] = interpolate_quaternions(glide.quaternion, turn, share)
             elif clock >= glide.grip:
                 position[c], quaternion[c] = self._held(
-                    clock - segment.delay, glide.offset, glide.turn
+                    segment.arm, clock - segment.delay, glide.offset, glide.turn
                 )
         return position, quaternion
 
     def _held(
-        self, time: float, offset: np.ndarray, turn: np.ndarray
+        self, arm: int, time: float, offset: np.ndarray, turn: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Where something is that the tool holds there, at a time of the record."""
-        tool, rotation = self.shape.tool(self._arm(time)[0])
+        """Where something is that the tool of an arm holds there, at a time of the record."""
+        tool, rotation = self.arms[arm].shape.tool(self._arm(arm, time)[0])
         return tool + rotation @ offset, quaternion_product(matrix_quaternion(rotation), turn)
 
-    def _arm(self, time: float) -> tuple[np.ndarray, float]:
-        samples = self.samples
+    def _arm(self, arm: int, time: float) -> tuple[np.ndarray, float]:
+        samples = self.arms[arm].samples
         at = min(max(time * self.record.rate, 0.0), len(samples.time) - 1.0)
         low = min(int(at), max(len(samples.time) - 2, 0))
         high = min(low + 1, len(samples.time) - 1)
@@ -156,9 +186,9 @@ class Playback:
 
     def _segments(self) -> list[ReplaySegment]:
         delay, found = 0.0, []
-        for step, (start, end) in zip(self.record.steps, self.record.spans(), strict=True):
+        for arm, step, start, end in self.steps:
             pause = 0.0 if len(step.samples.time) else PAUSE
-            segment = ReplaySegment(step, start + delay, end + delay + pause, delay, ())
+            segment = ReplaySegment(arm, step, start + delay, end + delay + pause, delay, ())
             found.append(segment._replace(glides=tuple(self._glides(segment))))
             delay += pause
         return found
@@ -176,10 +206,11 @@ class Playback:
             grip, release = None, _moment(segment)
             if step.grip is not None and cell in step.cells:
                 let_go = segment.end - delay if step.release is None else step.release
-                tool, rotation = self.shape.tool(self._arm(step.grip)[0])
+                arm = segment.arm
+                tool, rotation = self.arms[arm].shape.tool(self._arm(arm, step.grip)[0])
                 offset = rotation.T @ (where - tool)
                 turn = quaternion_product(matrix_quaternion(rotation.T), turned)
-                where, turned = self._held(let_go, offset, turn)
+                where, turned = self._held(arm, let_go, offset, turn)
                 grip, release = step.grip + delay, let_go + delay
             drop = float(where[2] - step.after[cell, 2])
             falls = drop > 0.01
@@ -187,6 +218,19 @@ class Playback:
             end = min(release + takes, segment.end)
             found.append(Glide(cell, grip, release, offset, turn, end, where, turned, falls))
         return found
+
+
+def _played(record: BuildRecord, name: str) -> PlayedArm:
+    """The arm of a record.
+
+    Raises:
+        InputError: where the record does not fit it.
+    """
+    facts = record.arm
+    arm = get_arm(facts.name, facts.tool_name, (*facts.base_position.tolist(), facts.base_yaw))
+    if facts.joints != arm.joints:
+        raise InputError("trajectory.arm.joints", facts.joints, f"those of arm {arm.name}")
+    return PlayedArm(name, facts.suction, arm_shape(arm), _samples(record, arm))
 
 
 def _samples(record: BuildRecord, arm: Arm) -> Samples:
@@ -215,9 +259,7 @@ def split(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return poses[..., :3].copy(), poses[..., 3:].copy()
 
 
-def _fits(record: BuildRecord, plan: Plan, arm: Arm) -> None:
-    if record.arm.joints != arm.joints:
-        raise InputError("trajectory.arm.joints", record.arm.joints, f"those of arm {arm.name}")
+def _fits(record: BuildRecord, plan: Plan) -> None:
     if not record.steps:
         raise InputError("trajectory.steps", 0, "at least one step")
     count = 0 if plan.assembly is None else len(plan.assembly.blocks)

@@ -6,6 +6,7 @@ A frame shows the workcell from one place, and below it in words what happens.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
@@ -24,7 +25,7 @@ from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.shape import Mesh, box
 from learn2assemble.viewer import renderer
-from learn2assemble.viewer.arm import extent
+from learn2assemble.viewer.arm import arms_words, extent
 from learn2assemble.viewer.picture import ACCENT, INK, LINE, PAPER, RIM, SOFT
 from learn2assemble.viewer.playback import Playback, ReplaySegment, split
 from learn2assemble.viewer.scene import cell_labels
@@ -61,25 +62,32 @@ _FIELD = 16.0
 
 OUTLINE, PLACES, GOAL, TOP, PARTS = range(5)
 """Bodies: the outlines and the waiting places, which stand still and are never shaded, the frame
-that shows where a block goes, the table, the parts of the arm; then the cells."""
+that shows where a block goes, the table, the parts of arms; then the cells."""
 
 
 class Frames:
-    """The frames of the video of one record.
+    """The frames of the video of a build.
 
     Raises:
         InputError: where the record does not fit the plan.
     """
 
-    def __init__(self, plan: Plan, record: BuildRecord) -> None:
-        self.plan, self.playback = plan, Playback(record, plan)
+    def __init__(self, plan: Plan, records: Sequence[BuildRecord]) -> None:
+        self.plan, self.playback = plan, Playback(records, plan)
+        record = self.playback.record
         self.speed = max(SPEED, math.ceil(record.spans()[-1][1] / LONGEST))
         """How many times faster than the arm the video plays."""
         if plan.assembly is None:
             raise InputError("plan", "no blocks", "assembly.json beside plan.json")
         self.targets = [np.array(target.outline) for target in plan.design.targets]
         self.labels = cell_labels(plan.assembly, self.playback.blocks)
-        self.cells = PARTS + len(self.playback.shape.parts)
+        self.parts = [
+            (number, part)
+            for number, arm in enumerate(self.playback.arms)
+            for part in arm.shape.parts
+        ]
+        """Of all arms, with the numbers of these."""
+        self.cells = PARTS + len(self.parts)
         """Body of the first cell; they are the last ones."""
         self.count = self.cells + record.num_cells
         self.triangles = self._triangles()
@@ -138,7 +146,7 @@ class Frames:
         # The frame is a cube with edge 1, stretched to the block it is for.
         bodies.add_bars(GOAL, renderer.box_edges([-0.5] * 3, [0.5] * 3), 1 / 40)
         bodies.add(TOP, self._table(), renderer.GROUND)
-        for k, part in enumerate(playback.shape.parts):
+        for k, (_, part) in enumerate(self.parts):
             bodies.add(PARTS + k, part.mesh, renderer.LIT)
         hulls = playback.record.hull or [None] * len(playback.half)
         for cell, (half, hull) in enumerate(zip(playback.half, hulls, strict=True)):
@@ -154,7 +162,8 @@ class Frames:
     def _table(self) -> Mesh:
         """The table top under all there is, its corners round."""
         record, edge = self.playback.record, self.playback.record.block_edge
-        points = [record.steps[0].before[:, :2], self.playback.shape.chain.offset[:1, :2]]
+        bases = [arm.shape.chain.offset[:1, :2] for arm in self.playback.arms]
+        points = [record.steps[0].before[:, :2], *bases]
         every = np.concatenate([*points, *(corners[:, :2] for corners in self.targets)])
         low, high = every.min(0) - 2.2 * edge, every.max(0) + 2.2 * edge
         quarter, ring = np.linspace(0, np.pi / 2, 9), []
@@ -173,8 +182,10 @@ class Frames:
         """Where all bodies are at a time of the replay: float64[b, 3] [m], float64[b, 3, 3]."""
         playback = self.playback
         position, rotation = np.zeros((self.count, 3)), np.tile(np.eye(3), (self.count, 1, 1))
-        where, turned = playback.shape.frames(*playback.arm_at(clock))
-        for k, part in enumerate(playback.shape.parts):
+        shown = enumerate(playback.arms)
+        frames = [arm.shape.frames(*playback.arm_at(clock, number)) for number, arm in shown]
+        for k, (number, part) in enumerate(self.parts):
+            where, turned = frames[number]
             if part.frame >= 0:
                 position[PARTS + k], rotation[PARTS + k] = where[part.frame], turned[part.frame]
         position[self.cells :], quaternions = playback.cells_at(clock)
@@ -199,13 +210,15 @@ class Frames:
         return found
 
     def _ribbons(self) -> tuple[Image.Image, Image.Image]:
-        """All attempts side by side, as they look when done and before."""
+        """All attempts side by side, a lane an arm, as they look when done and before."""
         done, ahead = (Image.new("RGB", (WIDTH, 8), PAPER) for _ in range(2))
         scale = (WIDTH - 48) / max(self.playback.duration, 1e-9)
         for s in self.playback.segments:
             good = s.step.outcome == Outcome.REACHED
             x0, x1 = 24 + round(s.start * scale), 24 + round(s.end * scale)
-            place = (x0, 0, max(x1 - 3, x0), 8)
+            lanes = len(self.playback.arms)
+            y0, y1 = 8 * s.arm // lanes, 8 * (s.arm + 1) // lanes
+            place = (x0, y0, max(x1 - 3, x0), y1 - (s.arm + 1 < lanes) * 2)
             ImageDraw.Draw(done).rectangle(place, ACCENT if good else _BAD)
             ImageDraw.Draw(ahead).rectangle(place, LINE if good else _UNDONE)
         return done, ahead
@@ -215,20 +228,21 @@ class Frames:
         colour[OUTLINE], colour[TOP] = rgb(ACCENT), TABLE
         colour[PLACES] = 0.5 * (TABLE + rgb(SOFT))
         colour[GOAL] = rgb("current")
-        for k, part in enumerate(self.playback.shape.parts):
+        for k, (_, part) in enumerate(self.parts):
             colour[PARTS + k] = 255 * np.array(part.colour)
+        moved = {cell for one in self.playback.active_at(clock) for cell in one.step.cells}
         for cell in range(self.playback.record.num_cells):
             own = rgb(self.labels.colours[cell])
             if self.labels.fixed[cell] or self.placed_by.get(cell, np.inf) < segment.step.number:
                 colour[self.cells + cell] = own
-            if cell in segment.step.cells and 0 < clock < self.playback.duration:
+            if cell in moved and 0 < clock < self.playback.duration:
                 colour[self.cells + cell] = rgb("current")
             elif cell in segment.step.cells and clock and cell in self.placed_by:
                 colour[self.cells + cell] = own
         return colour
 
     def _words(self, image: Image.Image, clock: float) -> None:
-        playback, record, draw = self.playback, self.playback.record, ImageDraw.Draw(image)
+        playback, draw = self.playback, ImageDraw.Draw(image)
         segment, top = playback.segment_at(clock), HEIGHT - _FOOT
 
         def write(
@@ -245,7 +259,9 @@ class Frames:
             return x + draw.textlength(text, _font(size, bold))
 
         write(" ".join(self.plan.design.name.split()), 24, 42, 24, INK, bold=True)
-        write(f"arm {record.arm.name}, shown {self.speed:g} times as fast", 24, 66, 14, SOFT)
+        write(
+            f"{arms_words(playback).lower()}, shown {self.speed:g} times as fast", 24, 66, 14, SOFT
+        )
         now = 24 + round((WIDTH - 48) * clock / max(playback.duration, 1e-9))
         done, ahead = self.ribbons
         image.paste(ahead, (0, top + 12))
@@ -261,20 +277,29 @@ class Frames:
             write(segment.step.detail, x + 10, top + 77, 15, SOFT)
 
     def doing(self, clock: float) -> str:
-        """What the arm does at a time of the replay, as a sentence."""
-        segment = self.playback.segment_at(clock)
-        step = segment.step
+        """What arms do at a time of the replay, as a sentence."""
+        arms, told = self.playback.arms, {}
         if clock <= 0:
-            return "The arm waits."
+            return "The arms wait." if arms[1:] else "The arm waits."
         if clock >= self.playback.duration:
             return "The build is over."
+        for segment in self.playback.active_at(clock):
+            told.setdefault(segment.arm, self._does(segment, clock))
+        if not arms[1:]:
+            return f"The arm {told[0]}."
+        return "; ".join(f"{arm.name} {told.get(k, 'waits')}" for k, arm in enumerate(arms)) + "."
+
+    def _does(self, segment: ReplaySegment, clock: float) -> str:
+        """What an arm does, as the rest of a sentence."""
+        step = segment.step
         if not len(step.samples.time):
-            return f"The arm cannot move: {step.outcome.label}."
+            return f"cannot move: {step.outcome.label}"
+        block = self.labels.names[step.cells[0]]
         for stage in step.stages:
             if stage.start - 1e-6 <= clock - segment.delay <= stage.end + 1e-6:
-                block, suction = self.labels.names[step.cells[0]], self.playback.record.arm.suction
-                return f"The arm {stage_words(step, stage, block, suction)}."
-        return "The arm stands still."
+                suction = self.playback.arms[segment.arm].suction
+                return stage_words(step, stage, block, suction)
+        return "stands still"
 
     def _points(self) -> np.ndarray:
         record = self.playback.record
@@ -329,18 +354,18 @@ def require_video() -> ModuleType:
     return av
 
 
-def write_video(plan: Plan, record: BuildRecord, path: Path) -> None:
-    """Write ``build.mp4``. The same record gives the same pictures.
+def write_video(plan: Plan, records: Sequence[BuildRecord], path: Path) -> None:
+    """Write ``build.mp4``. The same records give the same pictures.
 
     Args:
-        plan: that the record fits.
-        record: what the arm did.
+        plan: that the records fit.
+        records: what each arm did.
 
     Raises:
         MissingExtraError: without the extra ``video``.
         InputError: where the record does not fit the plan, or ``path`` cannot be written.
     """
-    av, film = require_video(), Frames(plan, record)
+    av, film = require_video(), Frames(plan, records)
     options = {"crf": "20", "preset": "veryfast", "threads": "1"}
     with (
         replacing(path, "video") as part,

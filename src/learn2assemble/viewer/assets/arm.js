@@ -1,14 +1,30 @@
 "use strict";
-/* The arm of a record. Its clock runs in seconds; segments are the steps of the record, one after
-   the other. What happens when is decided where the page is written; here it is only played. */
+/* The arms of a build. Their clock runs in seconds; segments are the attempts of all arms in the
+   order in which they end. What happens when is decided where the page is written; here it is only
+   played. */
 
 /* The clock of a build by an arm, for the timeline. */
 function armClock(data) {
-  const { segments, duration } = data.arm;
+  const { segments, duration, robots } = data.arm;
   const minutes = (t) => `${Math.floor(t / 60)}:${String(Math.floor(t % 60)).padStart(2, "0")}`;
   const index = (t) => {
     const found = segments.findIndex((segment) => t <= segment.end + 1e-6);
     return found < 0 ? segments.length - 1 : found;
+  };
+  // The segments at a time, the one that ends next first.
+  const active = (t) => {
+    const first = index(t);
+    return [first, ...segments.map((_, k) => k).filter((k) => k > first && segments[k].start < t)];
+  };
+  const does = (segment, t) => {
+    const stage = segment.stages.find(([from, to]) => t >= from - 1e-6 && t <= to + 1e-6);
+    return stage ? stage[2] : segment.moves ? "stands still" : segment.still;
+  };
+  const words = (t) => {
+    const now = active(t).map((k) => segments[k]);
+    if (robots.length === 1) return `The arm ${does(now[0], t)}.`;
+    const own = robots.map((robot, n) => now.find((segment) => segment.robot === n && segment.start < t));
+    return `${robots.map(({ name }, n) => `${name} ${own[n] ? does(own[n], t) : "waits"}`).join("; ")}.`;
   };
   // Steps of the plan that are done before each segment.
   let done = 0;
@@ -23,6 +39,7 @@ function armClock(data) {
     marks: [0, ...segments.map((segment) => segment.end)],
     exact: true,
     index,
+    active,
     timeOf(step) {
       if (step <= 0) return 0;
       const found = segments.find((segment) => segment.reached && segment.step === step);
@@ -33,12 +50,10 @@ function armClock(data) {
       const count = `${minutes(t)} / ${minutes(duration)}`;
       if (t <= 0) {
         return { step: 0, current: -1, segment: -1, count, caption: data.arm.start,
-          doing: "The arm waits.", outcome: "start", good: true, text: `${minutes(0)}, start` };
+          doing: robots.length > 1 ? "The arms wait." : "The arm waits.", outcome: "start", good: true, text: `${minutes(0)}, start` };
       }
       const counts = segment.reached && segment.step !== null;
-      const stage = segment.stages.find(([from, to]) => t >= from - 1e-6 && t <= to + 1e-6);
-      let doing = `The arm ${stage ? stage[2] : segment.moves ? "stands still" : segment.still}.`;
-      if (t >= duration) doing = "The build is over.";
+      const doing = t >= duration ? "The build is over." : words(t);
       return {
         step: counts ? segment.step : before[k], current: counts ? segment.step : -1, segment: k,
         count, caption: segment.caption, doing, good: segment.reached,
@@ -49,7 +64,7 @@ function armClock(data) {
   };
 }
 
-/* The arm and the blocks as one actor of the stage. */
+/* The arms and the blocks as one actor of the stage. */
 function createArm(data, tools) {
   const { coloured, colours } = tools;
   const arm = data.arm, group = new THREE.Group();
@@ -63,22 +78,7 @@ function createArm(data, tools) {
     return node;
   };
 
-  // The chain: every joint turns about the z axis of its own frame.
-  const joints = [];
-  let end = group;
-  for (const joint of arm.joints) {
-    const turning = new THREE.Group();
-    placed(end, joint).add(turning);
-    joints.push(turning);
-    end = turning;
-  }
-  const tool = placed(end, arm.tool);
-  const fingers = arm.fingers.map((finger) => placed(end, finger));
-  const frames = [...joints, ...fingers];
-  for (const part of arm.parts) (part.frame < 0 ? group : frames[part.frame]).add(mesh(part));
-
-  const samples = unpack(arm.samples), wide = joints.length + 1, count = samples.length / wide;
-
+  const robots = arm.robots.map(makeRobot);
   const cells = arm.cells.map(makeCell);
   const owner = new Map(); // cell -> the segment that puts it into the structure
   arm.segments.forEach((segment, k) => {
@@ -100,9 +100,11 @@ function createArm(data, tools) {
   }
   const outlines = new Map();
   const ghostLine = coloured(new THREE.LineBasicMaterial({ transparent: true, opacity: 0.9 }), "current");
-  const ghost = new THREE.LineSegments(
-    new THREE.EdgesGeometry(cells[0].sides), ghostLine);
-  group.add(ghost);
+  const ghosts = robots.map(() => {
+    const ghost = new THREE.LineSegments(new THREE.EdgesGeometry(cells[0].sides), ghostLine);
+    group.add(ghost);
+    return ghost;
+  });
   // Where blocks really are, as far off as can be seen; of each cell that was told of.
   const truthLine = coloured(new THREE.LineBasicMaterial(), "bad"), truths = new Map();
   const toolPlace = new THREE.Vector3(), toolTurn = new THREE.Quaternion();
@@ -110,27 +112,43 @@ function createArm(data, tools) {
   return { group, update };
 
   function update(now) {
-    const k = clock.index(now), segment = arm.segments[k];
+    const active = clock.active(now), k = active[0], segment = arm.segments[k];
     const time = segment.moves ? now - segment.delay : segment.start - segment.delay;
-    pose(time);
+    for (const robot of robots) pose(robot, time);
+    const moved = new Set(active.flatMap((n) => arm.segments[n].cells));
     cells.forEach(({ group: cube, material }, cell) => {
       const [position, quaternion] = states[k][cell];
       cube.position.copy(position);
       cube.quaternion.copy(quaternion);
-      const name = colourOf(cell, k, now);
+      const name = colourOf(cell, k, moved, now);
       material.color.set(colours()[name] ?? name);
     });
-    for (const glide of segment.glides) follow(glide, segment, now, cells[glide.cell].group);
+    for (const n of active) {
+      const one = arm.segments[n];
+      for (const cell of n === k ? [] : one.cells) {
+        const [position, quaternion] = states[n][cell];
+        cells[cell].group.position.copy(position);
+        cells[cell].group.quaternion.copy(quaternion);
+      }
+      for (const glide of one.glides) follow(glide, one, now, cells[glide.cell].group);
+    }
     // What waits in a magazine is below the table.
     for (const { group: cube } of cells) cube.visible = cube.position.z > 0;
-    const held = segment.glides.find((glide) => glide.grip !== null);
+    for (const ghost of ghosts) ghost.visible = false;
+    for (const n of active) showGoal(arm.segments[n], now);
+    const moving = now > segment.start && now < segment.end;
+    showTruth(moving ? k - 1 : now > 0 ? k : -1, moving ? [...moved] : []);
+  }
+
+  /* Where a segment puts its block, until it is let go there. */
+  function showGoal(segment, now) {
+    const ghost = ghosts[segment.robot], held = segment.glides.find((glide) => glide.grip !== null);
+    if (ghost.visible || (robots.length > 1 && now < segment.start)) return;
     ghost.visible = now > 0 && now < arm.duration && !(held && now > held.release);
     const [x, y, z, ...quaternion] = segment.target;
     ghost.position.set(x, y, z);
     ghost.quaternion.copy(turned(quaternion));
     ghost.geometry = outline(segment.cells[0]);
-    const moving = now > segment.start && now < segment.end;
-    showTruth(moving ? k - 1 : now > 0 ? k : -1, moving ? segment.cells : []);
   }
 
   function showTruth(k, except) {
@@ -148,7 +166,25 @@ function createArm(data, tools) {
     }
   }
 
-  function pose(time) {
+  /* An arm: every joint of its chain turns about the z axis of its own frame. */
+  function makeRobot(robot) {
+    const joints = [];
+    let end = group;
+    for (const joint of robot.joints) {
+      const turning = new THREE.Group();
+      placed(end, joint).add(turning);
+      joints.push(turning);
+      end = turning;
+    }
+    const tool = placed(end, robot.tool);
+    const fingers = robot.fingers.map((finger) => placed(end, finger));
+    const frames = [...joints, ...fingers];
+    for (const part of robot.parts) (part.frame < 0 ? group : frames[part.frame]).add(mesh(part));
+    const samples = unpack(robot.samples), wide = joints.length + 1;
+    return { joints, tool, fingers, travels: robot.fingers, samples, wide, count: samples.length / wide };
+  }
+
+  function pose({ joints, fingers, travels, samples, wide, count }, time) {
     const at = Math.min(Math.max(time * arm.rate, 0), count - 1);
     const low = Math.min(Math.floor(at), Math.max(count - 2, 0)), share = at - low;
     const high = Math.min(low + 1, count - 1);
@@ -156,7 +192,7 @@ function createArm(data, tools) {
     joints.forEach((joint, j) => { joint.rotation.z = value(j); });
     const width = value(wide - 1);
     fingers.forEach((finger, j) => {
-      const { offset, travel } = arm.fingers[j];
+      const { offset, travel } = travels[j];
       finger.position.set(...offset.map((v, axis) => v + width * travel[axis]));
     });
   }
@@ -165,6 +201,7 @@ function createArm(data, tools) {
   function follow(glide, segment, now, cube) {
     if (glide.grip !== null && now < glide.release) {
       if (now < glide.grip) return;
+      const { tool } = robots[segment.robot];
       tool.updateWorldMatrix(true, false);
       tool.getWorldPosition(toolPlace);
       tool.getWorldQuaternion(toolTurn);
@@ -179,10 +216,10 @@ function createArm(data, tools) {
     cube.quaternion.copy(turned(glide.quaternion)).slerp(turned(quaternion), eased);
   }
 
-  function colourOf(cell, k, now) {
+  function colourOf(cell, k, moved, now) {
     const { fixed, kind } = arm.cells[cell];
     if (fixed) return kind;
-    if (arm.segments[k].cells.includes(cell) && now > 0) return "current";
+    if (moved.has(cell) && now > 0) return "current";
     return owner.has(cell) && owner.get(cell) < k ? kind : "waiting";
   }
 
