@@ -32,7 +32,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.motion.plant import Plant, PlantError, Readings, standing
 from learn2assemble.motion.record import RATE, BuildRecord
 from learn2assemble.motion.recorder import StepMotion
-from learn2assemble.motion.setup import Setup
+from learn2assemble.motion.setup import Setup, open_plant
 from learn2assemble.planning.plan import Plan
 from learn2assemble.progress import Detail
 from learn2assemble.robot.arm import Arm
@@ -227,16 +227,19 @@ def build_together(
     Raises:
         InputError: as :func:`gather`.
     """
-    from learn2assemble.simulation.plant import DynamicPlant
-
     started = time.perf_counter()
-    both = Together(gather(plan, members, workcell, joint), DynamicPlant)
+    both = Together(gather(plan, members, workcell, joint), simulated)
     reason = both.run(progress)
     took = time.perf_counter() - started
     turns = sorted(both.turns, key=lambda turn: turn.end)
     tried = [Attempted(turn.arm, turn.done) for turn in turns]
     built = carried_out(plan, both.worked, reason, took, both.plant, tried)
     return replace(built, robot_s=round(both.seconds, 2))
+
+
+def simulated(setup: Setup) -> Any:
+    """The simulated cell that is described, with all its arms."""
+    return open_plant("sim://", setup)
 
 
 def _worker(
