@@ -505,6 +505,11 @@ def test_a_dynamic_build_is_repaired_resumed_and_recorded(tmp_path: Path) -> Non
         assert len(done.record.steps) == done.arm.attempts
         assert find_fault(done.record) is None
     assert [s.position for s in whole.steps] == [s.position for s in first.steps]
+    # To the last bit, on every machine.
+    assert first.record is not None
+    assert whole.record is not None
+    for one, other in zip(first.record.steps, whole.record.steps, strict=True):
+        assert np.array_equal(one.samples.joints, other.samples.joints)
     files = whole.save(tmp_path / "out", video=False)
     assert Plan.load(files["plan"]).record is not None
     # A finished build keeps its files whatever its motion is like; only its export is refused.

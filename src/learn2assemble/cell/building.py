@@ -540,6 +540,9 @@ class Building:
         }
         if self.kept is not None:
             state["plant"] = self.kept.save()
+            # The simulation goes on from what is in the file, as it does when it is read again: an
+            # arm that stands has no speed left, and the solver no memory.
+            self.kept.restore(state["plant"])
         if self.recorded and not self.known.done[-1].hand:
             state["record"] = packed(self.recording.recorder.steps[-1])
         append_state(self.log, state)
