@@ -431,3 +431,18 @@ def test_a_cup_that_has_come_off_holds_the_next_block(
     assert plan.complete, plan.reason
     assert plan.arm is not None
     assert [failure.outcome for failure in plan.arm.failures] == ["grasp-lost"]
+
+
+def test_nothing_moves_when_a_block_is_taken_out_of_the_hand() -> None:
+    """All blocks would be free for a while: of a hundred, that takes minutes."""
+    plant = holding()
+    assert plant.held() == "a"
+    began = plant.time
+    assert plant.request(Request("remove", "a", "a", PLACE)).stop is Stop.END
+    assert plant.held() is None
+    assert plant.time == began
+    assert not plant.truth()
+    # What stands by itself is given the time to fall.
+    assert plant.request(Request("place", "a", "a", PLACE)).stop is Stop.END
+    assert plant.request(Request("remove", "a", "a", PLACE)).stop is Stop.END
+    assert plant.time > began

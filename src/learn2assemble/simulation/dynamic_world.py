@@ -97,6 +97,10 @@ class DynamicWorld(SimulatedCell):
         for sim in idle:
             sim.stood()
 
+    def in_hand(self, name: str) -> bool:
+        """See :class:`SimulatedCell`."""
+        return any(one.held() == name for one in self.plants)
+
     def changed(self, name: str) -> None:
         """See :class:`SimulatedCell`."""
         self.enter({name})

@@ -76,6 +76,7 @@ class SimulatedCell:
     def request(self, request: Request) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         name, known = request.block, request.block in self.things
+        in_hand = self.in_hand(name)
         if request.what == "present" and not known and request.kind in self.setup.kinds:
             self.things[name] = self._made(request.kind, request.pose)
         elif request.what == "place":
@@ -90,7 +91,8 @@ class SimulatedCell:
         else:
             return self._report(Stop.REFUSED, f"nobody can {request.what} {name}")
         self.changed(name)
-        if request.what in ("place", "remove"):
+        # Nothing lies on what is taken out of the hand.
+        if request.what == "place" or (request.what == "remove" and not in_hand):
             self.come_to_rest()
         return self._report(Stop.END, "")
 
@@ -118,6 +120,10 @@ class SimulatedCell:
     def where(self) -> np.ndarray:
         """float64[n]: joints the arm was told to be at [rad]."""
         raise NotImplementedError
+
+    def in_hand(self, name: str) -> bool:
+        """Whether a hand holds a block, where forces are simulated."""
+        return False
 
     def changed(self, name: str) -> None:
         """A block came, went, or was moved by somebody else than the arm."""
