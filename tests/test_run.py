@@ -184,7 +184,7 @@ FAULTS: dict[str, tuple[dict[str, Any], Stop]] = {
     "cut while it goes": ({"what": "cut", "after": 1.0}, Stop.LOST),
     "cut with a block in the hand": ({"what": "cut", "after": 5.0}, Stop.LOST),
     "protective stop": ({"what": "protective", "after": 4.5}, Stop.PROTECTIVE),
-    "slow": ({"what": "slow", "after": 2.0, "factor": 50.0}, Stop.LATE),
+    "slow": ({"what": "slow", "after": 3.0, "factor": 50.0}, Stop.LATE),
     "clock": ({"what": "clock", "after": 3.0, "by": -7.0}, Stop.LOST),
     "refused": ({"what": "refuse", "after": 3.0}, Stop.REFUSED),
     "vacuum": ({"what": "drop", "after": 5.0, "carried": 0.5}, Stop.END),
