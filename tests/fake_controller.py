@@ -215,6 +215,8 @@ class FakeController:
             elif op == "refuse":
                 self.refused = said.get("count", 1)
             elif op == "slow":
+                # The program goes on as it was: its steps take longer, so the arm is slower.
+                self.speed = self.speed * self.slow / said["factor"]
                 self.slow = said["factor"]
             elif op == "clock":
                 self.jump += said["by"]
