@@ -389,8 +389,10 @@ class Choice:
         beside = world.beside[taken].copy()
         if group:
             world.beside[taken] = 0.0
-        yield self._together(k) - set(taken)
-        world.beside[taken] = beside
+        try:
+            yield self._together(k) - set(taken)
+        finally:
+            world.beside[taken] = beside
 
     def height(self, k: int) -> float:
         """Standard deviation of the height of what carries a block in its place [m]."""
