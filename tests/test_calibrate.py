@@ -22,7 +22,8 @@ from learn2assemble.sensing.calibration import (
 )
 from learn2assemble.sensing.camera import rotation
 from learn2assemble.sensing.pictures import SimulatedCamera, still_scene
-from learn2assemble.sensing.registration import Believed, register, views_of
+from learn2assemble.sensing.registration import Believed, register
+from learn2assemble.sensing.residuals import views_of
 from learn2assemble.sensing.search import find
 from seen_scenes import BRICK, CORNER, TURNS, lying, off_by, shifted
 

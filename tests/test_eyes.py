@@ -23,7 +23,8 @@ from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.sensing.camera import DepthCamera, DepthPicture, looking
 from learn2assemble.sensing.eyes import SeeingPlant, Sort
 from learn2assemble.sensing.pictures import CellCameras, SimulatedCamera, still_scene
-from learn2assemble.sensing.registration import Believed, Look, register, views_of
+from learn2assemble.sensing.registration import Believed, Look, register
+from learn2assemble.sensing.residuals import views_of
 from learn2assemble.sensing.search import find
 from seen_scenes import BRICK, CORNER, TURNS, lying, off_by, shifted
 

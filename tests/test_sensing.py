@@ -22,9 +22,9 @@ from learn2assemble.sensing.registration import (
     Look,
     Seen,
     register,
-    views_of,
     what_is_told,
 )
+from learn2assemble.sensing.residuals import views_of
 from seen_scenes import BRICK, CORNER, TURNS, lying, off_by, shifted
 
 WEDGE = hull_of(np.array([[0, 0, 0], [8, 0, 0], [0, 5, 0], [8, 5, 0], [0, 0, 4], [0, 5, 4]]) / 100)

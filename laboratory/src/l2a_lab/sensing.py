@@ -26,7 +26,9 @@ from learn2assemble.robot.bodies import Part, Shape
 from learn2assemble.sensing.calibration import Sighting, calibrated, table_sightings
 from learn2assemble.sensing.camera import DepthCamera, DepthNoise, looking, rotation
 from learn2assemble.sensing.pictures import SimulatedCamera, still_scene
-from learn2assemble.sensing.registration import Believed, Look, register, views_of
+from learn2assemble.sensing.registration import Believed, Look, register
+from learn2assemble.sensing.residuals import views_of
+from learn2assemble.sensing.resting import alone
 from learn2assemble.sensing.search import find
 
 SAMPLES, SEEDS = 40, 8
@@ -184,7 +186,9 @@ def _poses(shape: Shape, scene: Scene, cameras: tuple[DepthCamera, ...]) -> Resu
         true, others = scene(rng, shape)
         solids = still_scene([(shape, true), *others])
         pictures = [one.look([solids]) for one in _looks(cameras, seed)]
-        believed = Believed("a", shape, _believed(rng, true), TURNS[shape])
+        there = _believed(rng, true)
+        stands = alone([(shape, there), *others])
+        believed = Believed("a", shape, there, TURNS[shape], alone=bool(stands[0]))
         started = time.process_time()
         seen = register(views_of(pictures, cameras), believed)
         seconds.append(time.process_time() - started)

@@ -102,6 +102,17 @@ def rotate_vectors(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
     return vector + w * across + np.cross(axis, across)
 
 
+def stepped_pose(pose: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """A pose float64[7] that is moved by float64[3] [m] and turned by a rotation vector about fixed
+    axes float64[3] [rad], both in ``step``."""
+    angle = float(np.linalg.norm(step[3:]))
+    half = 0.5 if angle < 1e-9 else np.sin(angle / 2) / angle
+    w, axis = np.cos(angle / 2), half * step[3:]
+    a, b = pose[3], pose[4:]
+    turned = np.array([w * a - axis @ b, *(w * b + a * axis + np.cross(axis, b))])
+    return np.array([*(pose[:3] + step[:3]), *(turned / np.linalg.norm(turned))])
+
+
 def cube_yaw(rotation: np.ndarray) -> float:
     """Yaw [rad] of a cube with rotation float64[3, 3], on whichever face it lies: that of its
     first or second axis, whichever is closer to horizontal."""

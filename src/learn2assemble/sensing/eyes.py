@@ -33,14 +33,9 @@ from learn2assemble.robot.bodies import Shape, body_of
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.sensing.camera import DepthCamera, DepthPicture, rotation
 from learn2assemble.sensing.pictures import ArmPicture, without_arm
-from learn2assemble.sensing.registration import (
-    Believed,
-    Look,
-    PreparedPicture,
-    Seen,
-    register,
-    views_of,
-)
+from learn2assemble.sensing.registration import Believed, Look, Seen, register
+from learn2assemble.sensing.residuals import PreparedPicture, views_of
+from learn2assemble.sensing.resting import alone
 from learn2assemble.sensing.search import find
 
 IN_HAND = (0.004, 0.05)
@@ -179,9 +174,10 @@ class SeeingPlant(WrappedPlant):
             # Fingers beside a block look like more of it.
             views = self._without_arm(views, readings)
         seen: dict[str, Seen] = {}
+        stands = self._alone()
         for name, pose in self.expected.items():
             if pose is not None and views:
-                seen[name] = register(views, self._believed(name, pose))
+                seen[name] = register(views, self._believed(name, pose, name in stands))
         for name, one in seen.items():
             if one.look == Look.ABSENT and not (self.held and self.held[0] == name):
                 self.expected[name] = None
@@ -207,18 +203,29 @@ class SeeingPlant(WrappedPlant):
     def _without_arm(
         self, views: Sequence[PreparedPicture], readings: Readings
     ) -> list[PreparedPicture]:
-        return without_arm(views, self._alone.at(readings.joints, readings.tool.width))
+        return without_arm(views, self._picture_of_arm.at(readings.joints, readings.tool.width))
 
     @cached_property
-    def _alone(self) -> ArmPicture:
+    def _picture_of_arm(self) -> ArmPicture:
         return ArmPicture(self.arm)
 
     def _sort(self, name: str) -> Sort:
         return self.sorts[self.kind[name]]
 
-    def _believed(self, name: str, pose: np.ndarray | None) -> Believed:
+    def _believed(self, name: str, pose: np.ndarray | None, stands: bool = False) -> Believed:
         sort = self._sort(name)
-        return Believed(name, sort.shape, pose, sort.turns, AT_REST)
+        return Believed(name, sort.shape, pose, sort.turns, AT_REST, stands)
+
+    def _alone(self) -> set[str]:
+        """Blocks that stand on the table with nothing beside them; none where it is not known of
+        every block where it is: any one may lean on that."""
+        there = {name: pose for name, pose in self.expected.items() if pose is not None}
+        if len(there) < len(self.expected):
+            return set()
+        bodies = [(self._sort(name).shape, pose) for name, pose in there.items()]
+        found = alone([*bodies, *self.fixed])
+        held = self.held and self.held[0]
+        return {name for name, one in zip(there, found, strict=False) if one and name != held}
 
     def _keep(self, name: str, seen: Seen, readings: Readings) -> None:
         """A block was seen: it is expected there next, but for what the pictures do not say."""

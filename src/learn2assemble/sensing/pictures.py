@@ -22,7 +22,7 @@ from learn2assemble.robot.arm import Arm, arm_model
 from learn2assemble.robot.bodies import Shape
 from learn2assemble.robot.scene import mesh_of
 from learn2assemble.sensing.camera import DepthCamera, DepthPicture, rotation
-from learn2assemble.sensing.registration import PreparedPicture
+from learn2assemble.sensing.residuals import PreparedPicture
 
 JUMP = 0.008
 """Neighbouring pixels whose depths differ by this share of them are beside an edge."""

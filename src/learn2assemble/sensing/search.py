@@ -17,17 +17,8 @@ from numba import njit
 from learn2assemble.geometry.hulls import resting_turns
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, yaw_matrix
 from learn2assemble.robot.bodies import Shape, body_of
-from learn2assemble.sensing.registration import (
-    LEAST,
-    Believed,
-    Look,
-    PreparedPicture,
-    Seen,
-    faceted,
-    ray_meets,
-    register,
-    window_of,
-)
+from learn2assemble.sensing.registration import LEAST, Believed, Look, Seen, register
+from learn2assemble.sensing.residuals import PreparedPicture, faceted, ray_meets, window_of
 
 ABOVE = 0.008
 """What is higher than this is not the table [m], beyond four standard deviations of a reading."""
