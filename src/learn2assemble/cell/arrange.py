@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,14 +23,17 @@ from learn2assemble.cell.world import (
     rows_of,
     supply_of,
 )
+from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.clearance import ways_out
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Attempt
 from learn2assemble.robot.studs import Studs
 from learn2assemble.statics.proofs import BED, TIGHT
+from learn2assemble.statics.states import State
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.contacts import Contacts
+    from learn2assemble.statics.laws import ByLoads
 
 LEANING = 0.02
 """A joint leans where the height of its normal is neither 0 nor 1 by more."""
@@ -115,36 +120,55 @@ class Structure:
 
     def stands(self, standing: frozenset[int]) -> bool:
         """Whether these pieces stand without the others, by the proof of the plan or another."""
-        if standing not in self._proven and self._pressing(standing) is not None:
+        if standing not in self._proven and (
+            self._loads.stands(self._state(standing)) or self._pressing(standing) is not None
+        ):
             self._proven.add(standing)
         return standing in self._proven
 
     def proof(self, standing: frozenset[int]) -> tuple[str, float] | None:
         """What shows that these pieces stand without the others, and the sideways acceleration
-        in every direction [g] that they withstand; None where nothing shows it."""
+        in every direction [g] that they withstand; None where nothing shows it.
+
+        States that are asked for in the order of a build are proven from one another.
+        """
         from learn2assemble.statics.rigid_blocks import margin
 
+        state = self._state(standing)
+        if self._loads.stands(state):
+            shown = self._loads.report(state)
+            if shown.margin_g:
+                return shown.proof, shown.margin_g
         pressing = self._pressing(standing)
         if pressing is None:
             return None
-        present = self._present(standing)
-        worth = margin(self.job.assembly, pressing, self.job.friction, present=present)
+        worth = margin(self.job.assembly, pressing, self.job.friction, present=state.present)
         return BED if pressing is self.lying else TIGHT, worth
 
     def _pressing(self, standing: frozenset[int]) -> Contacts | None:
         """The joints whose forces can hold these pieces: horizontal ones alone, or all."""
         from learn2assemble.statics.rigid_blocks import solve
 
-        present = self._present(standing)
+        present = self._state(standing).present
         for contacts in (self.lying, self.contacts):
             if solve(self.job.assembly, contacts, self.job.friction, present=present).stands:
                 return contacts
         return None
 
-    def _present(self, standing: frozenset[int]) -> np.ndarray:
+    def _state(self, standing: frozenset[int]) -> State:
         present = np.zeros(len(self.job.pieces), bool)
         present[list(standing)] = True
-        return present
+        return State(present, np.zeros_like(present))
+
+    @cached_property
+    def _loads(self) -> ByLoads:
+        """Loads passed down through level joints: enough for most states, and much faster than
+        programs over all blocks."""
+        from learn2assemble.statics.laws import ByLoads
+
+        # No clock: what is proven must not depend on it.
+        clock = Clock(math.inf)
+        return ByLoads.of_contacts(self.job.assembly, self.lying, self.job.friction, clock)
 
     def joints_of(
         self, world: WorkcellBlocks, rows: Rows, placing: bool, group: tuple[int, ...] = ()
