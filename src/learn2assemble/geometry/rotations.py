@@ -31,8 +31,16 @@ def yaw_matrix(yaw: float) -> np.ndarray:
 
 def quaternion_product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """float64[4]: the rotation ``b`` followed by ``a``."""
-    w, v = a[0], a[1:]
-    return np.array([w * b[0] - v @ b[1:], *(w * b[1:] + b[0] * v + np.cross(v, b[1:]))])
+    w, x, y, z = (float(k) for k in a)
+    t, u, v, s = (float(k) for k in b)
+    return np.array(
+        [
+            w * t - (x * u + y * v + z * s),
+            w * u + t * x + (y * s - z * v),
+            w * v + t * y + (z * u - x * s),
+            w * s + t * z + (x * v - y * u),
+        ]
+    )
 
 
 def quaternion_matrix(quaternion: np.ndarray) -> np.ndarray:
@@ -105,12 +113,13 @@ def rotate_vectors(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
 def stepped_pose(pose: np.ndarray, step: np.ndarray) -> np.ndarray:
     """A pose float64[7] that is moved by float64[3] [m] and turned by a rotation vector about fixed
     axes float64[3] [rad], both in ``step``."""
-    angle = float(np.linalg.norm(step[3:]))
-    half = 0.5 if angle < 1e-9 else np.sin(angle / 2) / angle
-    w, axis = np.cos(angle / 2), half * step[3:]
-    a, b = pose[3], pose[4:]
-    turned = np.array([w * a - axis @ b, *(w * b + a * axis + np.cross(axis, b))])
-    return np.array([*(pose[:3] + step[:3]), *(turned / np.linalg.norm(turned))])
+    x, y, z, a, b, c = (float(k) for k in step)
+    angle = math.sqrt(a * a + b * b + c * c)
+    half = 0.5 if angle < 1e-9 else math.sin(angle / 2) / angle
+    turn = np.array([math.cos(angle / 2), half * a, half * b, half * c])
+    turned = quaternion_product(turn, pose[3:])
+    turned /= math.sqrt(turned @ turned)
+    return np.array([pose[0] + x, pose[1] + y, pose[2] + z, *turned])
 
 
 def cube_yaw(rotation: np.ndarray) -> float:

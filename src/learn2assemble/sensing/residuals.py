@@ -420,17 +420,35 @@ def window_of(view: PreparedPicture, corners: np.ndarray, most: int = 1 << 30) -
     Args:
         most: pixels that are enough, see :data:`MANY`.
     """
-    seen = view.device.project(corners)
-    if seen[:, 2].min() < 0.01:
-        return None
-    rows, columns = view.depth.shape
-    (low_u, low_v), (high_u, high_v) = seen[:, :2].min(0), seen[:, :2].max(0)
-    low_v, high_v = max(0, int(low_v)), min(rows, int(high_v) + 2)
-    low_u, high_u = max(0, int(low_u)), min(columns, int(high_u) + 2)
-    if low_v >= high_v or low_u >= high_u:
-        return None
-    stride = max(1, int(np.sqrt((high_v - low_v) * (high_u - low_u) / most)))
-    return np.array([low_v, high_v, low_u, high_u, stride])
+    place, turn, focal, middle = view.camera
+    window = np.zeros(5, np.int64)
+    found = _window(corners, place, turn, focal, middle, view.depth.shape, most, window)
+    return window if found else None
+
+
+@njit(cache=True)
+def _window(corners, place, turn, focal, middle, size, most, window):
+    """Fill what :func:`window_of` returns; whether there is anything to see."""
+    low_u, low_v, high_u, high_v = np.inf, np.inf, -np.inf, -np.inf
+    for n in range(len(corners)):
+        x, y, z = 0.0, 0.0, 0.0
+        for k in range(3):
+            away = corners[n, k] - place[k]
+            x, y, z = x + away * turn[k, 0], y + away * turn[k, 1], z + away * turn[k, 2]
+        if z < 0.01:
+            return False
+        u, v = focal * x / z + middle[0], focal * y / z + middle[1]
+        low_u, high_u = min(low_u, u), max(high_u, u)
+        low_v, high_v = min(low_v, v), max(high_v, v)
+    if high_v < -2 or high_u < -2 or low_v > size[0] or low_u > size[1]:
+        return False
+    top, bottom = max(0, int(low_v)), min(size[0], int(high_v) + 2)
+    left, right = max(0, int(low_u)), min(size[1], int(high_u) + 2)
+    if top >= bottom or left >= right:
+        return False
+    window[:4] = top, bottom, left, right
+    window[4] = max(1, int(np.sqrt((bottom - top) * (right - left) / most)))
+    return True
 
 
 class Sums(NamedTuple):
