@@ -43,7 +43,9 @@ docs: $(STAMP)
 # A process for every core; a process that is done takes over tests of the others.
 PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
 
-test: lint docs
+# Types take one core for a minute and the documents the other.
+test: $(STAMP)
+	$(MAKE) --jobs 2 --output-sync=target lint docs
 	$(PYTEST)
 
 test-product test-tasks test-laboratory: $(STAMP)
