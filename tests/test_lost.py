@@ -41,10 +41,7 @@ def test_what_vanishes_is_said_and_the_cell_that_is_advised_shows_it(
     assert note.startswith("not shown by the cells: ")
     assert words in note
     advised = re.search(r"shown by cells of ([0-9.]+) mm$", note)
-    if advised is None:
-        # 40 mm have no common measure with a quarter of 50 mm: nothing is advised.
-        assert path == TEETH
-        return
+    assert advised is not None
     assert not _read(tmp_path, path, cell=float(advised[1]) / 1000).note
 
 
@@ -71,3 +68,26 @@ def test_a_part_that_vanishes_is_one(tmp_path: Path) -> None:
 def test_a_narrow_slit_that_vanishes_is_an_opening(tmp_path: Path) -> None:
     note = _read(tmp_path, "M100 500V100H300V500Z M190 200H205V300H190Z").note
     assert "an opening of 15 × 100 mm" in note
+
+
+@pytest.mark.parametrize(
+    ("path", "advised"),
+    [
+        ("M100 500V100H300V500Z M180 180H240V340H180Z", 20.0),  # multiples of 20 mm
+        ("M100 500V140H340V500H100Z", 60.0),  # larger than the cell
+        ("M100 500V150H300V500Z", None),  # on the cells
+        ("M107 500V100H307V500Z", None),  # on the cells, which may be moved along the wall
+        ("M100 500V173H304V500Z", None),  # no common measure
+        ("M100 500V120H320L300 500Z", None),  # a slope
+    ],
+)
+def test_cells_that_show_all_of_a_drawing_are_named_and_show_it(
+    tmp_path: Path, path: str, advised: float | None
+) -> None:
+    note = _read(tmp_path, path).note
+    found = re.search(r"cells of ([0-9.]+) mm show all of the drawing$", note)
+    assert (float(found[1]) if found else None) == advised
+    if advised:
+        again = _read(tmp_path, path, cell=advised / 1000)
+        assert again.iou == pytest.approx(1.0, abs=1e-6)
+        assert not again.note

@@ -10,7 +10,7 @@ from learn2assemble.design import drawings
 from learn2assemble.design.cells import CellDesign, Origin, design_of
 from learn2assemble.design.drawings import SIDES, Contours, Drawing
 from learn2assemble.design.lattice import HALF, fit, shares
-from learn2assemble.design.lost import lost_features, lost_words
+from learn2assemble.design.lost import fitting_cell, fitting_words, lost_features, lost_words
 from learn2assemble.design.reading import Extent, Lengths
 
 
@@ -54,11 +54,7 @@ def from_drawing(drawing: Drawing, origin: Origin) -> CellDesign:
             drawn = np.array([ends, points_[:, 2].max()]) * edges / scale
             Extent(drawn, edges, source, drawing.placed).check(scale)
             share, first = fit(triangles, (0,))
-            found, finer = lost_features(
-                walls, lambda walls: fit(_around(walls), (0,)), (cell[axis], cell[2])
-            )
-            if found:
-                lost.append(lost_words(found, finer))
+            lost += _not_shown(walls, (cell[axis], cell[2]))
             tint = np.zeros(share.shape, np.int64)
             for k, side in enumerate(names):
                 paints = [
@@ -96,6 +92,19 @@ def from_drawing(drawing: Drawing, origin: Origin) -> CellDesign:
         colours=colours,
         surface=surface,
     )
+
+
+def _not_shown(walls: list[Contours], edges: tuple[float, float]) -> list[str]:
+    """What cells of such edges [m] do not show of walls [cells], and which cells would."""
+
+    def fitted(walls: list[Contours]) -> tuple[np.ndarray, np.ndarray]:
+        return fit(_around(walls), (0,))
+
+    found, finer = lost_features(walls, fitted, edges)
+    fitting = fitting_cell(walls, fitted, edges)
+    if found:
+        return [lost_words(found, fitting or finer)]
+    return [fitting_words(fitting)] if fitting else []
 
 
 def _origins(boxes: dict[str, np.ndarray], placed: bool) -> dict[str, np.ndarray]:

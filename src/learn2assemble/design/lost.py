@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from learn2assemble.assembly.appearance import millimetres
-from learn2assemble.design.lattice import HALF, MAX_CELLS
+from learn2assemble.design.lattice import HALF, MAX_CELLS, misfit
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
@@ -26,6 +26,8 @@ SLIT = 0.2
 """A hole that vanishes altogether is one from this width on [cells]."""
 FINER = (2, 3, 4)
 """Into so many parts the edges of a cell are divided to find one that keeps everything."""
+ALIKE = 1e-4
+"""Lengths that differ by less are equal [cells]: what numbers of a file are rounded to."""
 
 Contours = list[np.ndarray]
 Fitted = Callable[[list[Contours]], tuple[np.ndarray, np.ndarray]]
@@ -69,6 +71,63 @@ def lost_features(
     return found, None
 
 
+def fitting_cell(
+    walls: list[Contours], fitted: Fitted, edges: tuple[float, float]
+) -> tuple[float, float] | None:
+    """Edges of a cell of the same shape that shows all of a drawing, where its own does not.
+
+    All edges of the drawing have to lie along the wall or upright, at multiples of one length.
+
+    Args:
+        walls, fitted, edges: as in `lost_features`.
+
+    Returns:
+        The edges [m] closest to those of the cell, at least a quarter of them; None where the cell
+        shows all, or no such cell does.
+    """
+    share, _ = fitted(walls)
+    if misfit(share) < ALIKE:
+        return None
+    contours = [contour for wall in walls for contour in wall]
+    steps = np.concatenate([np.abs(c - np.roll(c, 1, axis=0)) for c in contours])
+    if (steps.min(1) > ALIKE).any():
+        return None
+    points = np.concatenate(contours)
+    across, high = points[:, 0] - points[:, 0].min(), points[:, 1]
+    measure = _measure(np.concatenate([across, high]))
+    if measure < 1 / max(FINER):
+        return None
+    measure /= max(1, round(measure))
+    whole = [[contour / measure for contour in wall] for wall in walls]
+    span = np.ptp(np.concatenate([contour for wall in whole for contour in wall]), axis=0)
+    if span.max() > MAX_CELLS or misfit(fitted(whole)[0]) > ALIKE:
+        return None
+    return edges[0] * measure, edges[1] * measure
+
+
+def _measure(lengths: np.ndarray) -> float:
+    """The largest length of which all are multiples (Euclid's algorithm, with `ALIKE`)."""
+    measure = 0.0
+    for length in np.unique(np.round(np.abs(lengths) / ALIKE)) * ALIKE:
+        one, other = float(length), measure
+        while other > 3 * ALIKE:
+            one, other = other, abs(one - other * round(one / other))
+        measure = one
+    # Sums of rounded lengths: the longest one says best how long the measure is.
+    longest = float(np.abs(lengths).max())
+    return longest / max(1, round(longest / measure)) if measure else 0.0
+
+
+def fitting_words(fitting: tuple[float, float]) -> str:
+    """One line, e.g. ``all edges are at multiples of 20 mm: cells of 20 mm show all of it``."""
+    size = _size(fitting)
+    return f"all edges are at multiples of {size}: cells of {size} show all of the drawing"
+
+
+def _size(cell: tuple[float, float]) -> str:
+    return millimetres(*(cell[:1] if abs(cell[0] - cell[1]) < 1e-9 else cell))
+
+
 def lost_words(found: list[Lost], finer: tuple[float, float] | None) -> str:
     """One line, e.g. ``cells of 50 mm lose an opening of 50 × 100 mm; cells of 25 mm keep it``."""
     kinds = {what: [one for one in found if one.what == what] for what in (_OPENING, _PART)}
@@ -80,8 +139,7 @@ def lost_words(found: list[Lost], finer: tuple[float, float] | None) -> str:
             words.append(many if len(ones) > 1 else f"{_ARTICLE[what]} {many}")
     text = "not shown by the cells: " + ", ".join(words)
     if finer is not None:
-        same = abs(finer[0] - finer[1]) < 1e-9
-        text += f"; shown by cells of {millimetres(*finer[:1] if same else finer)}"
+        text += f"; shown by cells of {_size(finer)}"
     return text
 
 
