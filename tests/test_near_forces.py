@@ -6,12 +6,28 @@ import numpy as np
 
 from brick_data import bricks, random_bricks
 from learn2assemble.planning.given import plan_assembly
-from learn2assemble.statics.holding import Push
+from learn2assemble.statics.holding import Balance, Push
 from learn2assemble.statics.holding_check import stands_by_joints
+from learn2assemble.statics.holding_forces import forces_of
 from learn2assemble.statics.holding_near import NearForces
 from test_brick_order import replay
 
 MODELS = 240
+
+
+def test_a_structure_that_uses_much_of_its_strength_is_begun_with() -> None:
+    """Trees of 100 bricks whose weights spread over all joints ask some to pull too much."""
+    for seed in (3, 8, 10):
+        model = bricks(*random_bricks(seed, 100))
+        found = stands_by_joints(model)
+        assert 0.4 < found.need.share < 0.8
+        present = np.ones(len(model.blocks), bool)
+        assert NearForces(found.balance, found.forces).stands(present, ~present)
+        weak = model.with_capacity(0.69 * found.need.share)
+        forces = forces_of(weak)
+        balance = Balance(weak, forces)
+        assert balance.need().share > 1
+        assert not NearForces(balance, forces).stands(present, ~present)
 
 
 def test_nothing_is_proven_that_the_program_refuses() -> None:

@@ -22,6 +22,7 @@ from scipy.sparse.linalg import splu
 
 from learn2assemble.statics.holding import Balance, Push
 from learn2assemble.statics.holding_forces import Forces
+from learn2assemble.statics.holding_solver import by_cones
 
 _KEPT = 4
 """States whose forces are kept to go on from."""
@@ -75,14 +76,20 @@ class NearForces:
         self._joints = _JointSums(self._matrix, self._bodies, count)
         self._known: list[_Balanced] = []
         everything = np.ones(count, bool)
-        self.begin(everything, ~everything)
+        self.begin(everything, ~everything, thorough=True)
 
-    def begin(self, present: np.ndarray, held: np.ndarray) -> None:
-        """Go on from a state that stands, where it does so with strength to spare."""
+    def begin(self, present: np.ndarray, held: np.ndarray, thorough: bool = False) -> None:
+        """Go on from a state that stands, where it does so with strength to spare.
+
+        Args:
+            thorough: whether a program of these forces is asked where spreading finds none.
+        """
         on = self.balance.on(self._bodies, present)
         free = present & ~self.balance.fixed & ~held
         size = np.where(on, self._even, 0.0)
         made = self._spread(size, on, free, self._load(present, None))
+        if made is None and thorough:
+            made = self._by_program(present, on, free)
         if made is not None:
             self._keep(present, held, made)
 
@@ -156,6 +163,28 @@ class NearForces:
             if self._balanced(size, on, free, load):
                 return size
         return None
+
+    def _by_program(
+        self, present: np.ndarray, on: np.ndarray, free: np.ndarray
+    ) -> np.ndarray | None:
+        """Forces with the least share of the strength, and what balances the rest of it evenly, so
+        that all contact points keep some; None where all of the strength is not enough."""
+        rows, columns = np.flatnonzero(np.repeat(free, 3)), np.flatnonzero(on)
+        if not len(rows) or not len(columns):
+            return None
+        load, even = self._load(present, None), self._even[columns]
+        weights = self._load(np.zeros_like(present), None)
+        # In shares of the even pushes: of pushes themselves the solver loses accuracy.
+        unit = float(np.median(even))
+        pull = sp.csc_matrix((weights - load)[rows].reshape(-1, 1))
+        matrix = sp.hstack([self._matrix[rows][:, columns] @ sp.diags(even), pull]) / unit
+        count = len(columns) + 1
+        found = by_cones(matrix, weights[rows] / unit, np.zeros(count), np.full(count, np.inf))
+        if found is None or found[-1] >= 1:
+            return None
+        size = np.zeros(len(on))
+        size[columns] = even * (np.maximum(found[:-1], 0.0) + 1.0 - found[-1])
+        return self._passed(size, on, free, load)
 
     def _balanced(
         self, size: np.ndarray, on: np.ndarray, free: np.ndarray, load: np.ndarray
