@@ -21,7 +21,7 @@ from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import set_up_team
-from learn2assemble.cell.together import Pair, Together, gather
+from learn2assemble.cell.together import BESIDE, HAND, Pair, Together, gather, lower_beside
 from learn2assemble.cell.traffic import APART, ArmInTraffic, Leg, Route, Traffic
 from learn2assemble.cell.workcell import Workcell
 from learn2assemble.cli import main
@@ -200,6 +200,22 @@ def crew() -> Pair:
     return gather(plan, members, Workcell("ur5e"), KIT.joint_gap)
 
 
+def test_what_comes_before_a_block_is_lower_and_near(crew: Pair) -> None:
+    pieces = crew.found[0].job.pieces
+    found = lower_beside(crew.found[0].job)
+    for k, one in enumerate(pieces):
+        for n, other in enumerate(pieces):
+            (low, high), (under, over) = one.extent, other.extent
+            apart = max(float(max(low[i] - over[i], under[i] - high[i])) for i in (0, 1))
+            near = min(BESIDE * float(high[2] - over[2]), HAND)
+            meant = float(over[2]) <= float(low[2]) + 1e-3 and apart < near
+            assert (n in found.get(k, set())) == meant
+    assert found
+    assert any(
+        n not in crew.found[0].structure.below[k] for k, lower in found.items() for n in lower
+    )
+
+
 def test_two_arms_build_together(crew: Pair) -> None:
     both = Together(crew, Watched)
     told: list[str] = []
@@ -211,6 +227,11 @@ def test_two_arms_build_together(crew: Pair) -> None:
     assert any(a.begin < b.end and b.begin < a.end for a in first for b in second)
     for mine in (first, second):
         assert all(a.end <= b.begin + 1e-9 for a, b in pairwise(mine))
+    # No block came to where it would have been in the way of a lower one.
+    placed = [turn.done.block for turn in sorted(both.turns, key=lambda turn: turn.end)]
+    assert sorted(placed) == list(range(len(crew.found[0].job.pieces)))
+    for k, lower in both.under.items():
+        assert all(placed.index(n) < placed.index(k) for n in lower)
     job = crew.found[0].job
     truth = both.plant.truth()
     for piece in job.pieces:

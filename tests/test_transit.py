@@ -1,9 +1,11 @@
 """What is decided before the arm moves: columns of joint positions and free ways."""
 
+# pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
 from itertools import pairwise, product
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -272,6 +274,31 @@ def test_a_cup_goes_down_from_where_it_waits_above_what_it_takes(name: str) -> N
         off = np.array(tool) - contact
         assert np.abs(off[:, :2]).max() <= aside + 1e-5
         assert (np.diff(off[:, 2]) < 0).all()
+
+
+@pytest.mark.parametrize("across", [0.0501, 0.052])
+@pytest.mark.parametrize(("above", "free"), [(0.0501, False), (0.053, False), (0.056, True)])
+def test_what_is_held_is_near_to_a_block_diagonally_below(
+    across: float, above: float, free: bool
+) -> None:
+    """As one that comes down beside a higher one: MuJoCo's boxes have no contact there."""
+    order = take_order(tower(1), Move(1, np.array([0.0, 0.25, 0.025]), *AA))
+    joints = over(0.0, 0.3)
+    centre, axes = forward(get_chain(PANDA), joints)
+    held, turn = order.in_hand(AA[0])
+    beside = axes @ turn @ np.array([across, 0.0, 0.0]) - [0.0, 0.0, above]
+    poses = order.poses.copy()
+    poses[1 - order.target, :3] = centre + axes @ held + beside
+    world = compile_world((PANDA,), order.objects.shape, 1.0)
+    checker = WorldChecker(PANDA, world, poses, order.names)
+    checker.carry(order.target, held, turn, order.held)
+    hit, distance = checker.near(joints, 0.005)
+    m, d = world.plan, checker.data
+    one, two = (int(np.flatnonzero(world.kind == k)[0]) for k in (order.target, 1 - order.target))
+    gap = mujoco.mj_geomDistance(m, d, one, two, 0.1, None)
+    assert 0 < gap < 0.01
+    assert distance == pytest.approx(gap, abs=1e-6)
+    assert (hit is None) == free
 
 
 def test_where_no_way_is_free_the_target_is_unreachable(monkeypatch: pytest.MonkeyPatch) -> None:

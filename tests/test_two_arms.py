@@ -1,5 +1,6 @@
 """Two arms in one simulated world: one clock, one state, and each its own plant."""
 
+# pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -108,6 +109,22 @@ def test_what_one_arm_holds_stays_where_it_is_while_the_other_one_works() -> Non
     assert np.abs(after["b"][:3] - AT["b"][:3]).max() < 1e-3
     assert plant.plants[0].held() == "a"
     assert one.held() is None
+
+
+def test_what_an_arm_holds_does_not_feel_that_the_other_one_begins() -> None:
+    """When other blocks are free from now on, all goes on as before, to the forces on a cup."""
+    plant = cell()
+    plant.clock.run([lambda: [], fetch(plant, 1, "b", 0.2)])
+    loads = []
+    for _ in "12":
+        cup = plant.plants[1].bench.sim.cup
+        assert cup is not None
+        loads.append(np.hstack(cup.load()))
+        plant.acting = plant.plants[0]
+        plant.enter({"a"})
+    np.testing.assert_allclose(loads[1], loads[0], atol=0.02)
+    weight = 600.0 * 0.1 * 0.05 * 0.05 * 9.81
+    assert np.linalg.norm(loads[1][:3]) == pytest.approx(weight, abs=0.1)
 
 
 def test_the_same_motions_give_the_same_to_the_last_bit() -> None:

@@ -33,7 +33,7 @@ OVER = math.radians(45.0)
 """What leans by more than this from how it waits and how it shall stand has fallen over [rad]."""
 BESIDE = 0.012
 """What lies nearer to a place than this is in its way [m]."""
-WAITING = "what it stands on is missing"
+WAITING = "what it stands on, or what comes before it, is missing"
 ELSEWHERE = "another arm is about to place it, or in its way"
 
 
@@ -99,6 +99,8 @@ class Choice:
         """Blocks that another arm is about to place."""
         self.postponed: set[int] = set()
         """Blocks whose way another arm is in."""
+        self.later: set[int] = set()
+        """Blocks that would be in the way of others, which come before."""
         self.done: list[Done] = []
         self.fitting = Fitting(self.world, structure.studs() is not None)
         self.comes = {step.block for step in self.order}
@@ -155,7 +157,7 @@ class Choice:
                 if not ready and not blocked:
                     ready.append(step)
                 break
-            if self._missing(step, standing):
+            if step.block in self.later or self._missing(step, standing):
                 blocked[step.block] = WAITING
             elif not self._stands_with(step.block, standing):
                 blocked[step.block] = "it would fall"

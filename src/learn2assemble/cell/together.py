@@ -44,6 +44,10 @@ from learn2assemble.simulation.ways import WorldChecker, free_way
 
 BASE = (0.3, 0.3, 0.5)
 """Size of the box that the base of the other arm is for the ways of blocks [m]."""
+BESIDE, HAND, LEVEL = 0.5, 0.1, 1e-3
+"""No lower block comes down beside a higher one at less than this share of the difference in
+height, as far as a hand reaches [m]; what ends so little above the bottom of another is lower [m].
+"""
 LOOK_AGAIN = 0.1
 """An arm that has nothing to do looks again after this time [s]."""
 HOMES = (0.25, 0.3, 0.35)
@@ -209,6 +213,21 @@ def shared_out(
     return tuple(sorted(steps, key=key))
 
 
+def lower_beside(job: Job) -> dict[int, set[int]]:
+    """By piece, the lower ones so near beside it that hand and arm could not bring them past it.
+
+    An arm alone builds level by level; one that finds the other one in its way there would go on
+    higher up, and around gaps that nobody can fill any more.
+    """
+    ends = np.array([piece.extent for piece in job.pieces])
+    low, high = ends[:, 0], ends[:, 1]
+    apart = np.maximum(low[:, None, :2] - high[None, :, :2], low[None, :, :2] - high[:, None, :2])
+    higher = np.minimum(BESIDE * (high[:, None, 2] - high[None, :, 2]), HAND)
+    lower = high[None, :, 2] <= low[:, None, 2] + LEVEL
+    found = lower & (apart < higher[:, :, None]).all(2)
+    return {k: set(np.flatnonzero(row).tolist()) for k, row in enumerate(found) if row.any()}
+
+
 def build_together(
     plan: Plan,
     members: Sequence[Member],
@@ -291,6 +310,9 @@ class Together(Generic[Cell]):
         self.turns: list[Turn] = []
         self.tried: tuple[dict[int, Route], dict[int, Route]] = ({}, {})
         """What each arm would have announced for blocks whose way the other one was in."""
+        self.under = lower_beside(job) if not crew.found[0].structure.leans else {}
+        """By piece, those that come before it, see :func:`lower_beside`; as planned where blocks
+        lean."""
         self.moves = [0, 0]
         """The piece that each arm moves, or was the last to."""
         self.lost: set[int] = set()
@@ -343,7 +365,7 @@ class Together(Generic[Cell]):
         building._look()
         most, idle = 2 * len(known.order) + 20, 0
         while len(known.done) < most:
-            known.elsewhere = self._elsewhere(who)
+            known.elsewhere, known.later = self._elsewhere(who), self._later(who)
             action = known.choose()
             if action is None:
                 return None
@@ -434,6 +456,12 @@ class Together(Generic[Cell]):
         if self.traffic.other(who).route is None:
             return self.lost
         return self.lost | {self.moves[1 - who]}
+
+    def _later(self, who: int) -> set[int]:
+        """Blocks beside which lower ones are still to come."""
+        known = self.buildings[who].known
+        left = {step.block for step in known.order if not known.satisfied(step)}
+        return {k for k, lower in self.under.items() if lower & left}
 
     def _announcer(self, who: int) -> Callable[[Execution, str], bool]:
         """What an arm says before it moves, see :attr:`~.attempt.Attempts.announce`."""

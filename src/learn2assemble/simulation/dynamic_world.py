@@ -165,8 +165,9 @@ class DynamicWorld(SimulatedCell):
                 self._velocities()[number] = speed[numbers[name]]
         for one, left, name in zip(self.plants, before, held, strict=True):
             one.bench.sim.go_on(left, self.number[name] if name else None)
-        mujoco.mj_forward(state.model, state.data)
+        # Before the forces of this moment are found: another arm may look at them next.
         state.data.ctrl[:] = old.data.ctrl
+        mujoco.mj_forward(state.model, state.data)
         for one, name in zip(self.plants, aims, strict=True):
             if name:
                 one.bench.sim.aim(self.number[name])

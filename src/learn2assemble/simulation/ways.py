@@ -68,6 +68,8 @@ class WorldChecker(CollisionChecker):
         """int8[g, g]: of two geoms: none is the arm's (0), one (1), both (2), both are pads (3)."""
         self._arm_reach = _reaches(m, world)
         self._held: tuple[int, np.ndarray, np.ndarray] | None = None
+        self._boxes = np.zeros(0, np.int64), np.zeros(0, np.int64)
+        """Geoms of what is held, and of all else that it may meet, where they are boxes."""
         self.empty(0.0)
 
     def empty(self, width: float) -> None:
@@ -81,6 +83,13 @@ class WorldChecker(CollisionChecker):
         float64[3, 3]."""
         self.opening, self._held = width, (target, position, rotation)
         set_held(self.world, target)
+        kind, boxes = self.world.kind, self.model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
+        things = (self.model.geom_contype | self.model.geom_conaffinity) > 0
+        own = boxes & (kind == target)
+        self._boxes = (
+            np.flatnonzero(own),
+            np.flatnonzero(boxes & things & ~own & ~self._is_arm),
+        )
 
     def put(self, target: int, position: np.ndarray, rotation: np.ndarray, width: float) -> None:
         """As :meth:`empty`, but one object stands here: float64[3] [m] and float64[3, 3]."""
@@ -145,9 +154,13 @@ class WorldChecker(CollisionChecker):
             mujoco.mju_mat2Quat(self._poses[target, 3:], (tool @ rotation).ravel())
             mujoco.mj_kinematics(m, d)
         mujoco.mj_collision(m, d)
-        if not d.ncon:
-            return None, LOOK
         pairs, distance = d.contact.geom, d.contact.dist
+        if self._held is not None:
+            edges, apart = self._past_edges()
+            if len(apart):
+                pairs, distance = np.vstack([pairs, edges]), np.append(distance, apart)
+        if not len(distance):
+            return None, LOOK
         if besides is not None:
             others = (w.kind[pairs] != besides).all(1)
             pairs, distance = pairs[others], distance[others]
@@ -156,6 +169,30 @@ class WorldChecker(CollisionChecker):
         hits = np.flatnonzero(distance < least)
         hit = self._say(pairs[hits[0]]) if len(hits) else None
         return hit, float(np.min(distance[sort < 2], initial=LOOK))
+
+    def _past_edges(self) -> tuple[np.ndarray, np.ndarray]:
+        """Boxes that are near to one in the hand, int[k, 2] pairs of geoms, and how near [m].
+
+        MuJoCo finds no contact within the margins of two boxes of which one is past the edge of
+        the other: what comes down beside a block from diagonally above it would count as free.
+        """
+        m, d = self.model, self.data
+        own, others = self._boxes
+        away = np.linalg.norm(d.geom_xpos[own][:, None] - d.geom_xpos[others], axis=2)
+        near = np.argwhere(away < m.geom_rbound[own][:, None] + m.geom_rbound[others] + LOOK)
+        if not len(near):
+            return near, np.zeros(0)
+        one, two = own[near[:, 0]], others[near[:, 1]]
+        reach = [
+            (np.abs(d.geom_xmat[g].reshape(-1, 3, 3)) @ m.geom_size[g][:, :, None])[..., 0]
+            for g in (one, two)
+        ]
+        gap = np.abs(d.geom_xpos[one] - d.geom_xpos[two]) - reach[0] - reach[1]
+        close = (gap < LOOK).all(1)
+        pairs = np.column_stack([one, two])[close]
+        apart = [mujoco.mj_geomDistance(m, d, a, b, LOOK, None) for a, b in pairs.tolist()]
+        found = np.array(apart, float)
+        return pairs[found < LOOK], found[found < LOOK]
 
     def room(self, besides: int | None) -> float:
         """Distance of the arm from everything but the object ``besides`` and what it holds [m],
