@@ -373,14 +373,22 @@ _ALL = (
         "Training with a robot or without (appendix Table 5; played with it)",
         _columns("robot-one-sided", "5x5-15-17", "6x6-16-18"),
         (
-            *(
-                Row(f"DQN trained {how} robot", stem, paper={"method": f"DQN trained {how} robot"})
-                for how, stem in (("with", "robot-one-sided"), ("without", "one-sided"))
+            Row(
+                f"DQN trained with robot, {PAPER_SCHEDULE}",
+                "robot-one-sided-paper",
+                paper={"method": "DQN trained with robot"},
+            ),
+            Row(f"DQN trained with robot, {OUR_SCHEDULE}", "robot-one-sided"),
+            Row(
+                f"DQN trained without robot, {OUR_SCHEDULE}",
+                "one-sided",
+                paper={"method": "DQN trained without robot"},
             ),
             _LOOK_AHEAD,
         ),
         {"source_table": "app_T5"},
         FIDELITIES,
+        notes=_SCHEDULES,
     ),
     Table(
         "T5-robot",
