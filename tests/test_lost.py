@@ -85,7 +85,7 @@ def test_cells_that_show_all_of_a_drawing_are_named_and_show_it(
     tmp_path: Path, path: str, advised: float | None
 ) -> None:
     note = _read(tmp_path, path).note
-    found = re.search(r"cells of ([0-9.]+) mm show all of the drawing$", note)
+    found = re.search(r"cells of ([0-9.]+) mm show all of it$", note)
     assert (float(found[1]) if found else None) == advised
     if advised:
         again = _read(tmp_path, path, cell=advised / 1000)

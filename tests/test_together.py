@@ -18,10 +18,11 @@ import pytest
 import learn2assemble as l2a
 from l2a_lab.shapes import wall
 from learn2assemble.assembly.kit import load_kit
+from learn2assemble.cell.pair import BESIDE, HAND, Pair, gather, lower_beside
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import set_up_team
-from learn2assemble.cell.together import BESIDE, HAND, Pair, Together, gather, lower_beside
+from learn2assemble.cell.together import Together
 from learn2assemble.cell.traffic import APART, ArmInTraffic, Leg, Route, Traffic
 from learn2assemble.cell.workcell import Workcell
 from learn2assemble.cli import main

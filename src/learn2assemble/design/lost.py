@@ -93,35 +93,25 @@ def fitting_cell(
     if (steps.min(1) > ALIKE).any():
         return None
     points = np.concatenate(contours)
-    across, high = points[:, 0] - points[:, 0].min(), points[:, 1]
-    measure = _measure(np.concatenate([across, high]))
-    if measure < 1 / max(FINER):
+    lengths = np.abs(np.concatenate([points[:, 0] - points[:, 0].min(), points[:, 1]]))
+    # In cells of which 1, 2, ... make the longest one.
+    measures = lengths.max() / np.arange(1, MAX_CELLS + 1)
+    measures = measures[measures >= 1 / max(FINER)]
+    many = lengths / measures[:, None]
+    measures = measures[(np.abs(many - many.round()) < max(FINER) * ALIKE).all(1)]
+    if not len(measures):
         return None
-    measure /= max(1, round(measure))
+    measure = float(measures[np.abs(np.log(measures)).argmin()])
     whole = [[contour / measure for contour in wall] for wall in walls]
-    span = np.ptp(np.concatenate([contour for wall in whole for contour in wall]), axis=0)
-    if span.max() > MAX_CELLS or misfit(fitted(whole)[0]) > ALIKE:
+    if misfit(fitted(whole)[0]) > ALIKE:
         return None
     return edges[0] * measure, edges[1] * measure
 
 
-def _measure(lengths: np.ndarray) -> float:
-    """The largest length of which all are multiples (Euclid's algorithm, with `ALIKE`)."""
-    measure = 0.0
-    for length in np.unique(np.round(np.abs(lengths) / ALIKE)) * ALIKE:
-        one, other = float(length), measure
-        while other > 3 * ALIKE:
-            one, other = other, abs(one - other * round(one / other))
-        measure = one
-    # Sums of rounded lengths: the longest one says best how long the measure is.
-    longest = float(np.abs(lengths).max())
-    return longest / max(1, round(longest / measure)) if measure else 0.0
-
-
 def fitting_words(fitting: tuple[float, float]) -> str:
-    """One line, e.g. ``all edges are at multiples of 20 mm: cells of 20 mm show all of it``."""
+    """One line, such as `all edges are at multiples of 20 mm: cells of 20 mm show all of it`."""
     size = _size(fitting)
-    return f"all edges are at multiples of {size}: cells of {size} show all of the drawing"
+    return f"all edges are at multiples of {size}: cells of {size} show all of it"
 
 
 def _size(cell: tuple[float, float]) -> str:

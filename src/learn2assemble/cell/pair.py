@@ -1,0 +1,175 @@
+"""What two arms begin with: the blocks that each can place, in an order in which they are seldom in
+each other's way, and what of the other one each has to keep clear of.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from learn2assemble.cell.arrange import Arranged, Structure, try_step
+from learn2assemble.cell.building import Prepared
+from learn2assemble.cell.crew import Member
+from learn2assemble.cell.pieces import with_rests
+from learn2assemble.cell.reach import cells_of, with_home
+from learn2assemble.cell.site import Obstacle
+from learn2assemble.cell.workcell import Job, StepOf, Workcell, job_of
+from learn2assemble.cell.world import RETURNED, STANDING, WorkcellBlocks
+from learn2assemble.errors import InputError
+from learn2assemble.planning.plan import Plan
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.kinematic import KinematicCell
+
+BASE = (0.3, 0.3, 0.5)
+"""Size of the box that the base of the other arm is for the ways of blocks [m]."""
+BESIDE, HAND, LEVEL = 0.5, 0.1, 1e-3
+"""No lower block comes down beside a higher one at less than this share of the difference in
+height, as far as a hand reaches [m]; what ends so little above the bottom of another is lower [m].
+"""
+HOMES = (0.25, 0.3, 0.35)
+"""So far in front of its base the tool waits, the preferred one first [m]."""
+
+
+class Pair(NamedTuple):
+    """What two arms begin with."""
+
+    found: tuple[Prepared, Prepared]
+    workcells: tuple[Workcell, Workcell]
+    """Of each; all that belongs to the cell is that of the first one."""
+    names: tuple[str, str]
+
+
+def gather(
+    plan: Plan,
+    members: Sequence[Member],
+    workcell: Workcell,
+    joint: float = 1e-4,
+) -> Pair:
+    """Two arms with magazines of their own, and for each the steps that it could do.
+
+    Args:
+        plan: complete, of dry blocks.
+        members: the arms, see :func:`~.team.set_up_team`.
+        workcell: how they build; which arm and tool, and what its base is, does not matter.
+        joint: width of a vertical joint [m].
+
+    Raises:
+        InputError: for a block that neither can place when its turn in the plan has come.
+    """
+    assert plan.assembly is not None
+    alike = job_of(plan, workcell.arm, joint, workcell.hands)
+    jobs = [
+        replace(
+            alike,
+            pieces=with_rests(alike.pieces, member.job.arm),
+            arm=member.job.arm,
+            sources=member.job.sources,
+            obstacles=member.job.obstacles,
+        )
+        for member in members
+    ]
+    jobs = [replace(job, arm=back(job)) for job in jobs]
+    first, second = (
+        replace(job, obstacles=(*job.obstacles, *occupied(other)))
+        for job, other in zip(jobs, reversed(jobs), strict=True)
+    )
+    structure, found, cells = Structure(first), list[Prepared](), list[Workcell]()
+    for number, job in enumerate((first, second)):
+        cell = KinematicCell(job.arm, cells_of(job))
+        steps, stuck = possible(job, structure, cell)
+        order = Arranged(shared_out(job, structure, steps, number), stuck)
+        found.append(Prepared(job, structure, order, cell))
+        cells.append(replace(workcell, arm=job.arm.name, tool=job.arm.tool_name))
+    reached = {step for one in found for step in one.order.steps}
+    left = [step for step in first.steps if step not in reached]
+    if left:
+        piece = first.pieces[left[0].block]
+        why = found[0].order.stuck[left[0].block]
+        raise InputError("arms", f"{piece.id}, which neither can place: {why}", "all within reach")
+    one, other = (member.name for member in members)
+    return Pair((found[0], found[1]), (cells[0], cells[1]), (one, other))
+
+
+def possible(
+    job: Job, structure: Structure, cell: KinematicCell
+) -> tuple[list[StepOf], dict[int, str]]:
+    """The steps of a plan that an arm could do, each when its turn has come; by block, why it could
+    not do the others."""
+    world, standing = WorkcellBlocks(job), set[int]()
+    steps, stuck = list[StepOf](), dict[int, str]()
+    for step in job.steps:
+        why = try_step(world, cell, step, structure.ways_in(step.block, standing))
+        if why is None:
+            steps.append(step)
+        else:
+            stuck[step.block] = why
+        standing = standing - {step.block} if step.remove else standing | {step.block}
+        world.pose[step.block] = world.target(step.block)
+        world.state[step.block] = RETURNED if step.remove else STANDING
+    return steps, stuck
+
+
+def back(job: Job) -> Arm:
+    """The arm with a home that leaves the site to the other one: above its own edge of it."""
+    x, y = (-job.base / max(float(np.linalg.norm(job.base)), 1e-9)).tolist()
+    places = itertools.product(HOMES, (0.25, 0.15))
+    return with_home(job.arm, (x, y), max(piece.top for piece in job.pieces), places)
+
+
+def occupied(job: Job) -> list[Obstacle]:
+    """What the other arm must not touch of one: where it stands, and where its blocks wait."""
+    x, y = job.base.tolist()
+    found = [Obstacle((x, y), BASE, float(job.arm.base_yaw), 0.0, "the other arm", True)]
+    for source in job.sources:
+        a, b, c, d = source.area.bounds
+        tall = max(
+            float(piece.corners(piece.waiting(source.pose))[:, 2].max())
+            for piece in job.pieces
+            if source.presents(piece)
+        )
+        size = (c - a, d - b, tall)
+        middle = (a + c) / 2, (b + d) / 2
+        found.append(Obstacle(middle, size, 0.0, 0.0, "the other arm's supply", True))
+    return found
+
+
+def shared_out(
+    job: Job, structure: Structure, steps: Sequence[StepOf], number: int
+) -> tuple[StepOf, ...]:
+    """The steps as an arm prefers them: level by level from its end of the structure, so that the
+    other arm, which begins at the other end, is far away; as they are where blocks lean or are
+    taken away."""
+    if structure.leans or any(step.remove for step in steps):
+        return tuple(steps)
+    where = np.array([piece.target for piece in job.pieces])
+    # Across the line between the arms they are in each other's way least.
+    along = np.array([-job.base[1], job.base[0]])
+    along = along / max(float(np.linalg.norm(along)), 1e-9)
+    if along[np.argmax(np.abs(along))] < 0:
+        along = -along
+    way = -1.0 if number else 1.0
+
+    def key(step: StepOf) -> tuple[float, float]:
+        level = round(float(job.pieces[step.block].extent[0][2]), 4)
+        return level, round(way * float(where[step.block, :2] @ along), 6)
+
+    return tuple(sorted(steps, key=key))
+
+
+def lower_beside(job: Job) -> dict[int, set[int]]:
+    """By piece, the lower ones so near beside it that hand and arm could not bring them past it.
+
+    An arm alone builds level by level; one that finds the other one in its way there would go on
+    higher up, and around gaps that nobody can fill any more.
+    """
+    ends = np.array([piece.extent for piece in job.pieces])
+    low, high = ends[:, 0], ends[:, 1]
+    apart = np.maximum(low[:, None, :2] - high[None, :, :2], low[None, :, :2] - high[:, None, :2])
+    higher = np.minimum(BESIDE * (high[:, None, 2] - high[None, :, 2]), HAND)
+    lower = high[None, :, 2] <= low[:, None, 2] + LEVEL
+    found = lower & (apart < higher[:, :, None]).all(2)
+    return {k: set(np.flatnonzero(row).tolist()) for k, row in enumerate(found) if row.any()}
