@@ -82,6 +82,10 @@ def table(*words: str) -> list[str]:
     ]
 
 
+def keep(folder: str) -> list[str]:
+    return ["keep", folder, "--runs", "{d}/new/runs.jsonl.gz", "--agents", "{d}/new"]
+
+
 def curves(name: str, *words: str) -> list[str]:
     return ["curves", name, "--runs", "{d}/nosuch", "--out", "{d}/new", *words]
 
@@ -331,6 +335,8 @@ def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> No
     (folder / "robot.jsonl").write_text('{"variant": "3robo", "ep": 0, "t": 0}\n')
     (folder / "empty.jsonl").write_text("")
     (folder / "not_gzip.jsonl.gz").write_bytes(b"plain text")
+    (folder / "runs.jsonl.gz").write_bytes(gzip.compress(b""))
+    (folder / "other_lines.jsonl.gz").write_bytes(gzip.compress(b'{"name": "dqn-s0", "a": 1}\n'))
     # Valid framing around damaged contents.
     packed = bytearray(gzip.compress(b'{"a": 1}\n' * 1000))
     packed[20] ^= 0xFF
@@ -790,8 +796,25 @@ BAD = [
     BadCall("table into no page", table("T1", "--into", "{d}/nosuch.md"), "no such file"),
     BadCall("no curves", ["curves"], "NAME"),
     BadCall("misspelt curves", curves("algoritms"), "did you mean 'algorithms'"),
-    BadCall("curves of no runs", curves("algorithms", "--runs", "{d}/full"), "such as dqn-s0"),
-    BadCall("curves of missing runs", curves("algorithms"), "folder of runs"),
+    BadCall(
+        "curves of no runs", curves("algorithms", "--runs", "{d}/runs.jsonl.gz"), "such as dqn-s0"
+    ),
+    BadCall("curves of missing runs", curves("algorithms"), "file of runs"),
+    BadCall("curves of a folder", curves("algorithms", "--runs", "{d}/full"), "runs.jsonl.gz"),
+    BadCall(
+        "curves of what is not packed",
+        curves("algorithms", "--runs", "{d}/not_gzip.jsonl.gz"),
+        "a file of runs",
+    ),
+    BadCall(
+        "curves of other lines",
+        curves("algorithms", "--runs", "{d}/other_lines.jsonl.gz"),
+        "config and log of a training",
+    ),
+    BadCall("keep nothing", ["keep"], "FOLDER"),
+    BadCall("keep no run", keep("{d}/full"), "no such file"),
+    BadCall("keep a missing run", keep("{d}/nosuch"), "no such file"),
+    BadCall("keep a damaged run", keep("{d}/bad_config"), "config.json: line 1"),
     # eval
     BadCall("eval nothing", ["eval"], "TASK"),
     BadCall("eval a misspelt task", ["eval", "two-sided-4x4-20-30"], "did you mean"),
@@ -1048,7 +1071,7 @@ BAD = [
             ],
             "folder of a build": ["export", "{d}/rnu", "--format", "csv"],
             "folder of a training run": resume("{d}/rnu"),
-            "folder of runs": curves("algorithms", "--runs", "{d}/rnu"),
+            "file of runs": curves("algorithms", "--runs", "{d}/rusn.jsonl.gz"),
             "folder of agents": table("T1", "--agents", "{d}/agnet"),
             "folder of examples": ["measure-builder", "--out", "{d}/new", "--examples", "{d}/rnu"],
             "page for --into": table("T1", "--into", "{d}/flie.txt"),

@@ -31,6 +31,7 @@ TINY = {
 TOO_LONG = (
     "--server",
     "fidelities",
+    "keep runs",
     "--arm panda",
     "--format franka",
     "--quick",

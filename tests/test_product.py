@@ -91,6 +91,7 @@ LEARNS = {
     "benchmark": ["board", "entry.jsonl.gz"],
     "curves": ["algorithms"],
     "eval": ["two-sided-3x3-20-24"],
+    "keep": ["run"],
     "fidelities": ["robot-two-sided-3x3-10-14"],
     "measure-builder": ["--out", "new"],
     "measure-builder-arm": ["--out", "new"],

@@ -27,16 +27,17 @@ from l2a_lab.recipes import (
     RECIPES,
     Recipe,
     RecipeStage,
-    copy_logs,
+    keep_logs,
     stage_folder,
     train_recipes,
 )
 from l2a_lab.report import QUICK, compact_markdown
+from l2a_lab.runs import keep_runs, read_runs, runs_in
 from l2a_lab.table_command import _around
 from l2a_lab.tables import TABLES, get_table
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.tasks.networks.agent import load_agent
+from learn2assemble.tasks.networks.agent import agent_files, load_agent
 from learn2assemble.tasks.task import PRESETS
 from test_tables import NAME, SMALL, save_tiny
 
@@ -186,8 +187,7 @@ def test_training_the_agents_of_a_table(tmp_path: Path, capsys: pytest.CaptureFi
     assert {row["state"] for row in first["rows"] if row["method"] == "plain"} == {"measured"}
     assert first["rows"][0]["ours"][0]["agents"] == 2
     weights = (tmp_path / "runs" / "tiny-s1" / "agent.safetensors").read_bytes()
-    logs = tmp_path / "out" / "runs" / "tiny-s0"
-    assert sorted(path.name for path in logs.iterdir()) == ["config.json", "log.jsonl"]
+    assert set(read_runs(tmp_path / "out" / "runs.jsonl.gz")) == {"tiny-s0", "tiny-s1"}
     second, _ = l2a(capsys, *words)
     assert second["measured"] == 0
     assert (tmp_path / "runs" / "tiny-s1" / "agent.safetensors").read_bytes() == weights
@@ -224,9 +224,8 @@ def test_a_later_stage_starts_from_the_earlier(tmp_path: Path) -> None:
     for a, b in zip(first.network.parameters(), last.network.parameters(), strict=True):
         torch.testing.assert_close(a, b, rtol=0, atol=1e-5)
     assert "two-s0: R" in told[-1]
-    copy_logs([recipe], tmp_path, tmp_path / "logs")
-    logs = sorted(path.name for path in (tmp_path / "logs").iterdir())
-    assert logs == ["two-s0", "two-s0.stage1"]
+    keep_logs([recipe], tmp_path, tmp_path / "runs.jsonl.gz")
+    assert list(read_runs(tmp_path / "runs.jsonl.gz")) == ["two-s0", "two-s0.stage1"]
 
 
 def test_a_run_of_another_recipe_is_not_continued(tmp_path: Path) -> None:
@@ -250,21 +249,30 @@ def test_a_recipe_of_an_unknown_task_is_refused_before_anything_is_made(tmp_path
 # Curves.
 
 
-def log(folder: Path, name: str, values: list[tuple[int, float]]) -> None:
-    (folder / name).mkdir(parents=True)
+def log(pack: Path, name: str, values: list[tuple[int, float]]) -> None:
+    """Add a run to a pack."""
     lines: list[dict[str, float]] = [{"samples": 0, "epsilon": 1.0}]
     lines += [
         {"samples": s, "seconds": s / 10, "R": r, "f": 0.5, "success": r / 10} for s, r in values
     ]
-    text = "".join(json.dumps(line) + "\n" for line in lines)
-    (folder / name / "log.jsonl").write_text(text)
+    folder = pack.parent / name
+    folder.mkdir()
+    (folder / "config.json").write_text("{}")
+    (folder / "log.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    keep_runs(runs_in([folder]), pack)
 
 
-def test_curves_are_means_over_seeds(tmp_path: Path) -> None:
-    log(tmp_path, "dqn-s0", [(100, 1.0), (300, 3.0), (500, 5.0)])
-    log(tmp_path, "dqn-s3", [(100, 3.0), (400, 6.0)])
-    log(tmp_path, "q-mcts-s0", [(100, 2.0)])
-    (curve,) = load_curves(FIGURES["algorithms"], tmp_path)
+@pytest.fixture
+def pack(tmp_path: Path) -> Path:
+    """Where a pack of runs will be."""
+    return tmp_path / "runs.jsonl.gz"
+
+
+def test_curves_are_means_over_seeds(pack: Path) -> None:
+    log(pack, "dqn-s0", [(100, 1.0), (300, 3.0), (500, 5.0)])
+    log(pack, "dqn-s3", [(100, 3.0), (400, 6.0)])
+    log(pack, "q-mcts-s0", [(100, 2.0)])
+    (curve,) = load_curves(FIGURES["algorithms"], pack)
     assert (curve.label, curve.seeds) == ("DQN", 2)
     assert (curve.samples[0], curve.samples[-1]) == (100, 400)
     # Straight lines stay what they are, whatever the smoothing.
@@ -273,21 +281,21 @@ def test_curves_are_means_over_seeds(tmp_path: Path) -> None:
     np.testing.assert_allclose(curve.mean["f"], 0.5)
 
 
-def test_the_stages_of_a_training_are_one_curve(tmp_path: Path) -> None:
-    log(tmp_path, "dqn-s0.stage1", [(100, 1.0), (300, 3.0)])
-    log(tmp_path, "dqn-s0", [(100, 4.0), (200, 5.0)])
-    (curve,) = load_curves(FIGURES["algorithms"], tmp_path)
+def test_the_stages_of_a_training_are_one_curve(pack: Path) -> None:
+    log(pack, "dqn-s0.stage1", [(100, 1.0), (300, 3.0)])
+    log(pack, "dqn-s0", [(100, 4.0), (200, 5.0)])
+    (curve,) = load_curves(FIGURES["algorithms"], pack)
     assert curve.seeds == 1
     assert (curve.samples[0], curve.samples[-1]) == (100, 500)
     np.testing.assert_allclose(curve.mean["R"], curve.samples / 100)
 
 
-def test_time_to_a_return_counts_those_that_never_come_there(tmp_path: Path) -> None:
-    log(tmp_path, "dqn-s0", [(100, 1.0), (200, 2.0), (300, 3.0), (400, 4.0)])
-    log(tmp_path, "dqn-s1.stage1", [(100, 1.0), (200, 1.0)])
-    log(tmp_path, "dqn-s1", [(100, 1.0), (200, 4.0)])
-    log(tmp_path, "dqn-s2", [(100, 1.0), (400, 1.5)])
-    low, high = time_to(dataclasses.replace(FIGURES["algorithms"], levels=(1.5, 3.5)), tmp_path)
+def test_time_to_a_return_counts_those_that_never_come_there(pack: Path) -> None:
+    log(pack, "dqn-s0", [(100, 1.0), (200, 2.0), (300, 3.0), (400, 4.0)])
+    log(pack, "dqn-s1.stage1", [(100, 1.0), (200, 1.0)])
+    log(pack, "dqn-s1", [(100, 1.0), (200, 4.0)])
+    log(pack, "dqn-s2", [(100, 1.0), (400, 1.5)])
+    low, high = time_to(dataclasses.replace(FIGURES["algorithms"], levels=(1.5, 3.5)), pack)
     assert (low.label, low.seeds, low.reached, high.reached) == ("DQN", 3, 3, 2)
     assert low.samples == (200, 300, 400)
     assert high.samples == (400, 400, math.inf)
@@ -303,19 +311,23 @@ def test_smoothing_reduces_noise_and_keeps_the_mean() -> None:
     assert smooth[0] == noise[0]
 
 
-def test_damaged_logs_are_refused(tmp_path: Path) -> None:
-    log(tmp_path, "dqn-s0", [(1, 1.0)])
-    file = tmp_path / "dqn-s0" / "log.jsonl"
+def test_damaged_logs_are_refused(pack: Path) -> None:
+    log(pack, "dqn-s0", [(1, 1.0)])
+    file = pack.parent / "dqn-s0" / "log.jsonl"
     file.write_text('{"R": 1}\n')
-    with pytest.raises(InputError, match="line 1"):
-        read_log(file)
+    keep_runs(runs_in([file.parent]), pack)
+    with pytest.raises(InputError, match="entry 1"):
+        read_log(read_runs(pack), "dqn-s0")
+    before = pack.read_bytes()
+    file.write_text('{"R": 1}\n{"samp')
+    with pytest.raises(InputError, match=r"log.jsonl line 2"):
+        keep_runs(runs_in([file.parent]), pack)
+    assert pack.read_bytes() == before
 
 
-def test_curves_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log(tmp_path / "runs", "s2v-full-s0", [(100, 1.0), (300, 3.0)])
-    result, text = l2a(
-        capsys, "curves", "architectures", "--runs", tmp_path / "runs", "--out", tmp_path / "out"
-    )
+def test_curves_command(pack: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log(pack, "s2v-full-s0", [(100, 1.0), (300, 3.0)])
+    result, text = l2a(capsys, "curves", "architectures", "--runs", pack, "--out", tmp_path / "out")
     assert result["absent"] == ["MHA", "SHA"]
     assert "no runs of MHA, SHA" in text
     assert Path(result["picture"]).read_bytes().startswith(b"\x89PNG")
@@ -339,3 +351,51 @@ def test_sizes_and_times_come_from_the_same_rows(tmp_path: Path) -> None:
 
 def test_every_line_of_a_figure_can_be_trained() -> None:
     assert {stem for figure in FIGURES.values() for _, stem in figure.lines} <= set(RECIPES)
+
+
+# What is kept of runs.
+
+
+def test_a_training_is_kept_with_its_agent(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing of log and configuration is lost; kept again it is the same file."""
+    run = tmp_path / "runs" / "tiny-s0"
+    train_recipes([TINY], run.parent, seeds=1)
+    (run / "eval-easy.json").write_text('{"R": 1.5}')
+    pack, agents = tmp_path / "results" / "runs.jsonl.gz", tmp_path / "agents"
+    words = ["keep", run, "--runs", pack, "--agents", agents]
+    result, _ = l2a(capsys, *words)
+    assert result == {"runs": ["tiny-s0"], "agents": [str(agents / "tiny-s0.safetensors")]}
+    bytes_ = pack.read_bytes()
+    (kept,) = read_runs(pack).values()
+    assert kept["config"] == json.loads((run / "config.json").read_text())
+    assert kept["log"] == [
+        json.loads(line) for line in (run / "log.jsonl").read_text().splitlines()
+    ]
+    assert kept["evaluations"] == {"easy": {"R": 1.5}}
+    trained, agent = load_agent(run), load_agent(agents / "tiny-s0.safetensors")
+    assert (agent.name, agent.origin) == ("tiny-s0", trained.origin)
+    for mine, theirs in zip(agent.network.parameters(), trained.network.parameters(), strict=True):
+        assert torch.equal(mine, theirs)
+    run.rename(run.with_name("tiny-s1.stage1"))
+    result, _ = l2a(capsys, "keep", run.with_name("tiny-s1.stage1"), *words[2:])
+    assert result == {"runs": ["tiny-s1.stage1"], "agents": []}
+    assert list(read_runs(pack)) == ["tiny-s0", "tiny-s1.stage1"]
+    run.with_name("tiny-s1.stage1").rename(run)
+    pack.unlink()
+    l2a(capsys, *words)
+    assert pack.read_bytes() == bytes_
+
+
+def test_the_committed_runs_say_what_was_trained() -> None:
+    """Of every agent of a recipe with its tables, and each with a log to its end."""
+    runs = read_runs(ROOT / "results" / "runs.jsonl.gz")
+    assert len(runs) > 60
+    for name, run in runs.items():
+        assert {"task", "config", "seed", "commit", "hardware"} <= set(run["config"]), name
+        samples = [entry["samples"] for entry in run["log"]]
+        assert samples == sorted(samples), name
+        assert samples, name
+    agents = {name for name in agent_files() if name.rpartition("-s")[0] in RECIPES}
+    assert agents <= set(runs)

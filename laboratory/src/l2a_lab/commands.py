@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from l2a_lab.builder.commands import COMMANDS as BUILDERS
+from l2a_lab.runs import RUNS, keep_runs, runs_in, trained_agent
 from l2a_lab.table_command import prepare, run_table, table_arguments
 from learn2assemble.cli.output import check_new_file, write_result
 from learn2assemble.cli.parser import (
@@ -45,9 +46,7 @@ def _curves_arguments(parser: argparse.ArgumentParser) -> None:
         help="architectures, connectivity or algorithms; scaling: over the size of targets, "
         "decision times are measured where missing",
     )
-    parser.add_argument(
-        "--runs", type=named, default=Path("results/runs"), help="folder with logs of runs"
-    )
+    parser.add_argument("--runs", type=named, default=RUNS, help="file with logs of runs")
     parser.add_argument("--out", type=named, default=Path("results/curves"), help="folder")
 
 
@@ -164,6 +163,31 @@ def _run_curves(options: argparse.Namespace, output: Output) -> None:
 
 def _known(number: float, unit: float = 1) -> str:
     return f"{number / unit:,.0f}" if math.isfinite(number) else "never"
+
+
+# ---------------------------------------------------------------- keep
+
+
+def _keep_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("folders", metavar="FOLDER", nargs="+", type=named, help="of a training; its name is kept")
+    add("--runs", type=named, default=RUNS, help="file that takes configuration and log")
+    add("--agents", type=named, default=Path("agents"), help="folder that takes the agent")
+
+
+def _run_keep(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.tasks.networks.agent import save_agent
+
+    # All of them are read before anything is written.
+    runs = runs_in(options.folders)
+    agents = [agent for agent in map(trained_agent, options.folders) if agent is not None]
+    prepare(options.runs.parent)
+    prepare(options.agents)
+    files = [str(save_agent(agent, options.agents)) for agent in agents]
+    keep_runs(runs, options.runs)
+    for text in (*files, f"{options.runs}: {', '.join(runs)}"):
+        output.say(text)
+    output.finish({"runs": list(runs), "agents": files})
 
 
 # ---------------------------------------------------------------- replay
@@ -437,6 +461,12 @@ _COMMANDS = {
     ),
     "curves": Command(
         "draw learning curves", "l2a-lab curves algorithms", _curves_arguments, _run_curves
+    ),
+    "keep": Command(
+        "keep a finished training: its agent in agents/, configuration and log with the results",
+        "l2a-lab keep runs/dqn-s0",
+        _keep_arguments,
+        _run_keep,
     ),
     "replay": Command(
         "repeat recorded transitions and report the agreement",

@@ -4,7 +4,6 @@ over the size of targets with the time of their decisions, pictures of both, and
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -17,10 +16,10 @@ from l2a_lab.cell_jobs import row_cells
 from l2a_lab.cells import make_cell_policy
 from l2a_lab.measured import Figures
 from l2a_lab.numbers import load_table
+from l2a_lab.runs import STAGE, Run, read_runs
 from l2a_lab.table import Condition, Row
 from l2a_lab.tables import get_table
 from learn2assemble.errors import InputError
-from learn2assemble.files import check_exists
 from learn2assemble.tasks.evaluation.episodes import episode_generators
 from learn2assemble.tasks.networks.agent import agent_files, one_thread
 from learn2assemble.tasks.simulator import Simulator
@@ -116,16 +115,15 @@ FIGURES: dict[str, Curves] = {figure.name: figure for figure in _ALL}
 
 
 def load_curves(figure: Curves, runs: Path) -> list[LearningCurve]:
-    """Curves of the lines that have runs below ``runs`` (folders with a ``log.jsonl``).
+    """Curves of the lines that have runs in the pack ``runs`` (:mod:`.runs`).
 
     Raises:
         InputError: where there are none at all, or a log is damaged.
     """
     curves = [_average(label, logs) for label, logs in _logs(figure, runs)]
     if not curves:
-        check_exists(runs, "folder of runs")
         wanted = ", ".join(f"{stem}-s0" for _, stem in figure.lines)
-        raise InputError("--runs", str(runs), f"a folder with runs such as {wanted}")
+        raise InputError("--runs", str(runs), f"a file with runs such as {wanted}")
     return curves
 
 
@@ -154,24 +152,24 @@ def time_to(figure: Curves, runs: Path) -> list[Reached]:
     return out
 
 
-def _logs(figure: Curves, runs: Path) -> Iterator[tuple[str, list[dict[str, np.ndarray]]]]:
+def _logs(figure: Curves, pack: Path) -> Iterator[tuple[str, list[dict[str, np.ndarray]]]]:
     """Label and logs of every line that has runs; logs of one entry say nothing."""
-    names = sorted(file.parent.name for file in runs.glob("*/log.jsonl"))
+    runs = read_runs(pack)
     for label, stem in figure.lines:
-        logs = [read_stages(runs, name) for name in Row(label, stem).pick(names)]
+        logs = [read_stages(runs, name) for name in Row(label, stem).pick(runs)]
         logs = [log for log in logs if len(log["samples"]) >= 2]
         if logs:
             yield label, logs
 
 
-def read_stages(runs: Path, name: str) -> dict[str, np.ndarray]:
+def read_stages(runs: Mapping[str, Run], name: str) -> dict[str, np.ndarray]:
     """The logs of all stages of a training (:mod:`l2a_lab.recipes`) as one.
 
     Raises:
         InputError: see :func:`read_log`.
     """
-    folders = [*sorted(runs.glob(f"{name}.stage*")), runs / name]
-    logs = [read_log(folder / "log.jsonl") for folder in folders]
+    stages = sorted(other for other in runs if other.startswith(name + STAGE))
+    logs = [read_log(runs, stage) for stage in (*stages, name)]
     for key in ("samples", "seconds"):
         before = 0.0
         for log in logs:
@@ -180,20 +178,20 @@ def read_stages(runs: Path, name: str) -> dict[str, np.ndarray]:
     return {key: np.concatenate([log[key] for log in logs]) for key in logs[0]}
 
 
-def read_log(file: Path) -> dict[str, np.ndarray]:
-    """Samples, seconds and quantities of a ``log.jsonl``, from the first finished episode on.
+def read_log(runs: Mapping[str, Run], name: str) -> dict[str, np.ndarray]:
+    """Samples, seconds and quantities of the log of a run, from the first finished episode on.
 
     Raises:
-        InputError: for a line that is none of a log.
+        InputError: for an entry that is none of a log.
     """
     rows = []
-    for number, line in enumerate(file.read_text(encoding="utf-8").splitlines(), 1):
+    for number, entry in enumerate(runs[name]["log"], 1):
         try:
-            data = json.loads(line)
-            if "R" in data:
-                rows.append([float(data[key]) for key in _COLUMNS])
+            if "R" in entry:
+                rows.append([float(entry[key]) for key in _COLUMNS])
         except (ValueError, KeyError, TypeError):
-            raise InputError(f"{file}, line {number}", line[:60], "a line of a log") from None
+            where = f"{name}: log, entry {number}"
+            raise InputError(where, str(entry)[:60], "an entry of a log") from None
     table = np.array(rows, float).reshape(-1, len(_COLUMNS))
     return dict(zip(_COLUMNS, table.T.copy(), strict=True))
 

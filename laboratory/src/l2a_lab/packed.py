@@ -1,16 +1,18 @@
-"""Results of many cells in one file a task: sorted lines of JSON, compressed.
+"""Packs: many results in one file, sorted lines of JSON, compressed; ``zcat`` shows one.
 
-What is measured is written to a file of its own first, so that nothing is lost when a run is
-killed; :func:`pack` then moves it into ``cells/TASK.jsonl.gz``. A file of its own that is still
-there is the newer one. ``zcat`` shows a pack.
+What is measured of a cell is written to a file of its own first, so that nothing is lost when a run
+is killed; :func:`pack` then moves it into the pack of its task, ``cells/TASK.jsonl.gz``. A file of
+its own that is still there is the newer one.
 """
 
 from __future__ import annotations
 
 import gzip
 import json
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from learn2assemble.files import write_file
 
@@ -26,12 +28,12 @@ def read_document(file: Path) -> str:
     """
     if file.is_file():
         return file.read_text(encoding="utf-8")
-    return _packed(_pack_of(file.parent))[file.name]
+    return read_pack(_pack_of(file.parent))[file.name]
 
 
 def names(folder: Path) -> list[str]:
     """Names of the results of the task of a folder ``cells/TASK``, sorted; packed ones included."""
-    packed = set(_packed(_pack_of(folder)))
+    packed = set(read_pack(_pack_of(folder)))
     return sorted(packed | {file.name for file in folder.glob("*.json")})
 
 
@@ -55,15 +57,13 @@ def pack(cells: Path) -> int:
         files, target = sorted(folder.glob("*.json")), _pack_of(folder)
         if not files:
             continue
-        found = {name: json.loads(text) for name, text in _packed(target).items()}
+        found = {name: json.loads(text) for name, text in read_pack(target).items()}
         for file in list(files):
             try:
                 found[file.name] = json.loads(file.read_text(encoding="utf-8"))
             except ValueError:
                 files.remove(file)  # Damaged: whoever looks for it measures it anew.
-        text = "".join(json.dumps({"name": name, **found[name]}) + "\n" for name in sorted(found))
-        # Without a time, so that the same results are the same file.
-        write_file(target, gzip.compress(text.encode(), 9, mtime=0), "--out")
+        write_pack(target, found)
         for file in files:
             file.unlink()
         if not any(folder.iterdir()):
@@ -76,9 +76,28 @@ def _pack_of(folder: Path) -> Path:
     return folder.with_name(folder.name + ENDING)
 
 
-def _packed(pack: Path) -> dict[str, str]:
-    """Name -> text of every result of a pack; nothing where there is none."""
+def read_pack(pack: Path) -> Mapping[str, str]:
+    """Name -> JSON of every result of a pack; nothing where there is none.
+
+    Raises:
+        OSError, ValueError: for what is no pack.
+    """
     return _read(pack, pack.stat().st_mtime_ns) if pack.is_file() else {}
+
+
+def write_pack(pack: Path, results: Mapping[str, Mapping[str, Any]]) -> None:
+    """Write a pack, all or nothing; the same results are the same bytes.
+
+    Args:
+        pack: ``NAME.jsonl.gz``.
+        results: results by name; what is not among them is in the pack no more.
+
+    Raises:
+        InputError: where it cannot be written.
+    """
+    text = "".join(json.dumps({"name": name, **results[name]}) + "\n" for name in sorted(results))
+    # The header of the archive has a time, which would make other bytes.
+    write_file(pack, gzip.compress(text.encode(), 9, mtime=0), "results")
 
 
 @lru_cache(maxsize=64)

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from l2a_lab.runs import STAGE, keep_runs, runs_in
 from learn2assemble.errors import InputError
-from learn2assemble.files import MAX_GENERATED, read_bytes, write_file
 from learn2assemble.tasks.learning.config import CONFIGS, TrainConfig, fit_to, override
 from learn2assemble.tasks.learning.run import run_training
 from learn2assemble.tasks.networks.agent import load_agent, one_thread
@@ -20,8 +20,6 @@ from learn2assemble.workers import run_all
 
 SEEDS = 5
 """Agents of a published row."""
-LOGS = ("config.json", "log.jsonl")
-"""What is worth keeping of a run besides its agent: small, enough for learning curves."""
 
 
 @dataclass(frozen=True)
@@ -133,21 +131,19 @@ def train_recipes(
 
 def stage_folder(recipe: Recipe, seed: int, runs: Path, stage: int) -> Path:
     """Folder of a stage; the last one has the name of the agent."""
-    early = f".stage{stage + 1}" if stage + 1 < len(recipe.stages) else ""
+    early = f"{STAGE}{stage + 1}" if stage + 1 < len(recipe.stages) else ""
     return runs / f"{recipe.name}-s{seed}{early}"
 
 
-def copy_logs(recipes: list[Recipe], runs: Path, folder: Path) -> None:
-    """Copy configuration and log of every run of ``recipes``, for learning curves."""
-    for recipe in recipes:
-        for seed in range(SEEDS):
-            sources = [stage_folder(recipe, seed, runs, n) for n in range(len(recipe.stages))]
-            for source in sources:
-                if all((source / file).is_file() for file in LOGS):
-                    (folder / source.name).mkdir(parents=True, exist_ok=True)
-                    for file in LOGS:
-                        content, _ = read_bytes(source / file, "log", MAX_GENERATED)
-                        write_file(folder / source.name / file, content, "log")
+def keep_logs(recipes: list[Recipe], runs: Path, pack: Path) -> None:
+    """Put configuration and log of every run of ``recipes`` into a pack, for learning curves."""
+    folders = [
+        stage_folder(recipe, seed, runs, number)
+        for recipe in recipes
+        for seed in range(SEEDS)
+        for number in range(len(recipe.stages))
+    ]
+    keep_runs(runs_in(f for f in folders if (f / "log.jsonl").is_file()), pack)
 
 
 def _check(folder: Path, recipe: Recipe, stage: RecipeStage) -> None:

@@ -78,7 +78,8 @@ def run_table(options: argparse.Namespace, output: Output) -> None:
     if options.quick:
         output.progress(report.QUICK)
     if options.train:
-        from l2a_lab.recipes import RECIPES, copy_logs, train_recipes
+        from l2a_lab.recipes import RECIPES, keep_logs, train_recipes
+        from l2a_lab.runs import RUNS
 
         wanted = [RECIPES[name] for name in table.stems if name in RECIPES]
         train_recipes(
@@ -89,7 +90,7 @@ def run_table(options: argparse.Namespace, output: Output) -> None:
             ray=options.ray,
             progress=output.progress,
         )
-        copy_logs(wanted, options.runs, root / "runs")
+        keep_logs(wanted, options.runs, root / RUNS.name)
         agents = find_agents(options.runs)
     todo: list[CellJob] = []
     if not options.from_files:
