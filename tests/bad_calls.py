@@ -17,6 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
+from learn2assemble.tasks.networks.agent_file import bare_weights
+
 TASK = "one-sided-3x3-22-24"
 LONG = "x" * 300
 """Longer than a file name may be."""
@@ -324,7 +326,8 @@ def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> No
     for name in ("bad_agent", "half_agent"):
         shutil.copytree(agent, folder / name)
     (folder / "bad_agent" / "agent.safetensors").write_bytes(b"damaged" * 20)
-    (folder / "half_agent" / "agent.json").unlink()
+    half = folder / "half_agent" / "agent.safetensors"
+    half.write_bytes(bare_weights(half))
     for name in ("bad_config", "bad_state", "no_state"):
         shutil.copytree(run, folder / name)
     (folder / "bad_config" / "config.json").write_text("{")
@@ -698,7 +701,7 @@ BAD = [
     BadCall("missing agent file", build("--agent", "{d}/no.safetensors"), "no such file"),
     BadCall("folder without agent", build("--agent", "{d}/full"), "no such file"),
     BadCall("damaged agent", build("--agent", "{d}/bad_agent"), "a trained agent"),
-    BadCall("half an agent", build("--agent", "{d}/half_agent"), "agent.json"),
+    BadCall("half an agent", build("--agent", "{d}/half_agent"), "no description"),
     BadCall("a long name as design", ["build", LONG, *build()[2:]], "File name too long"),
     BadCall("a long name as agent", build("--agent", LONG), "File name too long"),
     # train

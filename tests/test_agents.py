@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save, save_file
 
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.tasks.evaluation.episodes import make_policy, run_episodes
@@ -25,6 +25,12 @@ from learn2assemble.tasks.networks.agent import (
     load_agent,
     make_network,
     save_agent,
+)
+from learn2assemble.tasks.networks.agent_file import (
+    KEY,
+    bare_weights,
+    described,
+    read_description,
 )
 from learn2assemble.tasks.networks.config import NetworkConfig
 from learn2assemble.tasks.networks.placement import PlacementNetwork, PlacementValues
@@ -67,7 +73,7 @@ def test_saved_and_loaded_agent_is_the_same(changes: dict[str, Any], tmp_path: P
         with torch.inference_mode():
             for mine, theirs in zip(agent.network(graph), loaded.network(graph), strict=True):
                 assert torch.equal(mine, theirs)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["agent.json", "agent.safetensors"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["agent.safetensors"]
 
 
 @pytest.mark.parametrize("num_actions", [5, 20])
@@ -94,19 +100,37 @@ def test_loading_twice_shares_nothing(tmp_path: Path) -> None:
     assert second.network.readout.weight.abs().max() > 0
 
 
+FILE = "agent.safetensors"
+
+
+def with_words(words: dict[str, str] | None) -> Callable[[Path], None]:
+    """The same weights with other metadata."""
+
+    def change(folder: Path) -> None:
+        save_file(load_file(folder / FILE), folder / FILE, words)
+
+    return change
+
+
 def change_info(**changes: Any) -> Callable[[Path], None]:
     def change(folder: Path) -> None:
-        file = folder / "agent.json"
-        info = json.loads(file.read_text(encoding="utf-8"))
-        file.write_text(json.dumps(info | changes), encoding="utf-8")
+        info = read_description(folder / FILE)
+        with_words(described({**info, **changes}))(folder)
 
     return change
 
 
 def change_network(**changes: Any) -> Callable[[Path], None]:
     def change(folder: Path) -> None:
-        network = json.loads((folder / "agent.json").read_text(encoding="utf-8"))["network"]
+        network = read_description(folder / FILE)["network"]
         change_info(network=network | changes)(folder)
+
+    return change
+
+
+def with_header(header: bytes) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        (folder / FILE).write_bytes(len(header).to_bytes(8, "little") + header)
 
     return change
 
@@ -119,21 +143,31 @@ def write(name: str, content: bytes) -> Callable[[Path], None]:
 
 
 def cut(folder: Path) -> None:
-    file = folder / "agent.safetensors"
-    file.write_bytes(file.read_bytes()[:-100])
+    (folder / FILE).write_bytes((folder / FILE).read_bytes()[:-100])
 
 
-def without_a_tensor(folder: Path) -> None:
-    tensors = load_file(folder / "agent.safetensors")
-    tensors.pop("readout.bias")
-    save_file(tensors, folder / "agent.safetensors")
+def cut_in_the_header(folder: Path) -> None:
+    (folder / FILE).write_bytes((folder / FILE).read_bytes()[:100])
 
 
-def with_a_weight(number: float) -> Callable[[Path], None]:
+def with_tensors(change_tensors: Callable[[dict[str, torch.Tensor]], object]) -> Any:
+    """Other weights with the same description."""
+
     def change(folder: Path) -> None:
-        tensors = load_file(folder / "agent.safetensors")
+        tensors, info = load_file(folder / FILE), read_description(folder / FILE)
+        change_tensors(tensors)
+        save_file(tensors, folder / FILE, described(info))
+
+    return change
+
+
+def without_a_tensor(tensors: dict[str, torch.Tensor]) -> None:
+    tensors.pop("readout.bias")
+
+
+def with_a_weight(number: float) -> Callable[[dict[str, torch.Tensor]], None]:
+    def change(tensors: dict[str, torch.Tensor]) -> None:
         tensors["readout.bias"][0] = number
-        save_file(tensors, folder / "agent.safetensors")
 
     return change
 
@@ -146,18 +180,25 @@ def remove(name: str) -> Callable[[Path], None]:
 
 
 DAMAGES: dict[str, Callable[[Path], None]] = {
-    "no weights": remove("agent.safetensors"),
-    "no description": remove("agent.json"),
-    "empty weights": write("agent.safetensors", b""),
-    "weights are text": write("agent.safetensors", b"weights" * 50),
+    "no file": remove(FILE),
+    "an empty file": write(FILE, b""),
+    "text": write(FILE, b"weights" * 50),
     "weights cut off": cut,
-    "a tensor is missing": without_a_tensor,
-    "a weight is not a number": with_a_weight(float("nan")),
-    "a weight is infinite": with_a_weight(float("inf")),
-    "description is not JSON": write("agent.json", b"{"),
-    "description is a list": write("agent.json", b"[]"),
-    "description is binary": write("agent.json", b"\xff\xfe\x00"),
-    "description is nested too deep": write("agent.json", b"[" * 100_000),
+    "cut off in the header": cut_in_the_header,
+    "header of gigabytes": write(FILE, b"\xff" * 64),
+    "header is no JSON": with_header(b"{"),
+    "header is a list": with_header(b"[]"),
+    "header is binary": with_header(b"\xff\xfe\x00"),
+    "header of words only": with_header(b'{"__metadata__": 3}'),
+    "a tensor is missing": with_tensors(without_a_tensor),
+    "a weight is not a number": with_tensors(with_a_weight(float("nan"))),
+    "a weight is infinite": with_tensors(with_a_weight(float("inf"))),
+    "no description": with_words(None),
+    "another description": with_words({"format": "pt"}),
+    "description is not JSON": with_words({KEY: "{"}),
+    "description is a list": with_words({KEY: "[]"}),
+    "description is nested too deep": with_words({KEY: "[" * 100_000}),
+    "description of nothing": with_words({KEY: "{}"}),
     "another format": change_info(format="learn2assemble-plan"),
     "network is a word": change_info(network="large"),
     "network has another width": change_network(width=32),
@@ -179,6 +220,26 @@ def test_damaged_agents_are_refused_in_one_line(name: str, tmp_path: Path) -> No
     assert "\n" not in message
     assert len(message) < 500
     assert "agent" in message
+
+
+def test_an_agent_in_two_files_is_refused_and_told_why(tmp_path: Path) -> None:
+    save_agent(random_agent(), tmp_path)
+    info = read_description(tmp_path / FILE)
+    with_words(None)(tmp_path)
+    (tmp_path / "agent.json").write_text(json.dumps(info), encoding="utf-8")
+    with pytest.raises(InputError, match="no description in its header; agents of two files"):
+        load_agent(tmp_path)
+
+
+def test_bare_weights_are_the_file_without_its_description(tmp_path: Path) -> None:
+    """They are what the library writes of the weights alone, whatever the description says."""
+    file = save_agent(random_agent(), tmp_path)
+    bare = bare_weights(file)
+    assert bare == save(load_file(file))
+    change_info(origin={"a": "ä" * 7})(tmp_path)
+    assert bare_weights(file) == bare
+    with_words(None)(tmp_path)
+    assert file.read_bytes() == bare_weights(file) == bare
 
 
 def test_agent_without_heads_is_refused(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from safetensors.numpy import save_file
 
 import learn2assemble.envs
 from l2a_lab.builder import measure as builders
@@ -50,6 +51,7 @@ from learn2assemble.tasks.designs import (
     draw_letter,
     make_design,
 )
+from learn2assemble.tasks.networks.agent_file import described
 from learn2assemble.tasks.task import DESIGN_TASKS, DesignTask
 from test_ordering import imbalance
 
@@ -265,7 +267,7 @@ def test_damaged_weights_are_refused(tmp_path: Path, damage: str) -> None:
     if damage == "short":
         path.write_bytes(path.read_bytes()[:-100])
     if damage == "other":
-        path.with_suffix(".json").write_text('{"format": "learn2assemble-agent"}')
+        save_file(weights, path, described({"format": "learn2assemble-agent"}))
     with pytest.raises(InputError, match="builder"):
         load_builder(path)
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file, save_file
 
 from l2a_lab import numbers as published_module
 from l2a_lab import packed
@@ -56,6 +57,7 @@ from learn2assemble.tasks.evaluation.episodes import (
     run_episodes,
 )
 from learn2assemble.tasks.networks.agent import Agent, load_agent, save_agent
+from learn2assemble.tasks.networks.agent_file import described, read_description
 from learn2assemble.tasks.networks.config import NetworkConfig
 from learn2assemble.tasks.networks.placement import PlacementNetwork
 from learn2assemble.tasks.networks.qnetwork import QNetwork
@@ -386,19 +388,21 @@ def test_hash_of_an_agent_sees_weights_and_architecture(tmp_path: Path) -> None:
     a, b = save_tiny(tmp_path, "a", 0), save_tiny(tmp_path, "b", 1)
     assert agent_hash(a) == agent_hash(a) != agent_hash(b)
     before = agent_hash(a)
-    info = json.loads(a.with_suffix(".json").read_text())
-    a.with_suffix(".json").write_text(json.dumps({**info, "origin": {"other": 1}}))
+    info = read_description(a)
+    save_file(load_file(a), a, described({**info, "origin": {"other": 1}}))
     assert agent_hash(a) == before
-    info["network"]["heads"] = 1
-    a.with_suffix(".json").write_text(json.dumps(info))
+    save_file(load_file(a), a, described({**info, "network": {**info["network"], "heads": 1}}))
     assert agent_hash(a) != before
 
 
 def test_agents_are_found_as_files_and_as_runs(tmp_path: Path) -> None:
     save_tiny(tmp_path, "tiny-s0", 0)
     save_tiny(tmp_path / "tiny-s1", "agent", 1)
-    (tmp_path / "half-s0.safetensors").write_bytes(b"")
     assert set(find_agents(tmp_path)) == {"tiny-s0", "tiny-s1"}
+    damaged = tmp_path / "half-s0.safetensors"
+    damaged.write_bytes(b"")
+    with pytest.raises(InputError, match="half-s0"):
+        agent_hash(find_agents(tmp_path)["half-s0"])
     assert "relational-cubes-s0" in find_agents(None)
     with pytest.raises(InputError, match="no such file"):
         find_agents(tmp_path / "nosuch")

@@ -36,6 +36,7 @@ from learn2assemble.tasks.evaluation.episodes import (
 )
 from learn2assemble.tasks.learning.run import provenance
 from learn2assemble.tasks.networks.agent import Agent, agent_files
+from learn2assemble.tasks.networks.agent_file import bare_weights, read_description
 from learn2assemble.tasks.networks.config import NetworkConfig
 from learn2assemble.tasks.networks.placement import PlacementNetwork
 from learn2assemble.tasks.networks.qnetwork import QNetwork
@@ -351,20 +352,19 @@ def find_agents(folder: Path | None) -> dict[str, Path]:
         raise InputError("--agents", str(folder), "a folder")
     runs = {f.parent.name: f for f in folder.glob("*/agent.safetensors")}
     files = {f.stem: f for f in folder.glob("*.safetensors")}
-    return {name: f for name, f in sorted({**runs, **files}.items()) if _info(f).is_file()}
+    return dict(sorted({**runs, **files}.items()))
 
 
-def agent_hash(weights: Path) -> str:
-    """16 hexadecimal digits that change with the weights or the architecture of an agent."""
-    try:
-        info = json.loads(_info(weights).read_text(encoding="utf-8"))
-        network = info.get("network", info["format"])
-        digest = hashlib.sha256(weights.read_bytes())
-    except (OSError, ValueError, KeyError, TypeError):
-        raise InputError("agent", str(weights), "a trained agent") from None
-    digest.update(json.dumps(network, sort_keys=True).encode())
+def agent_hash(file: Path) -> str:
+    """16 hexadecimal digits that change with the weights or the architecture of an agent, and with
+    nothing else of its description.
+
+    Raises:
+        InputError: for what is no agent.
+    """
+    info = read_description(file)
+    if "format" not in info:
+        raise InputError("agent", str(file), "a trained agent")
+    digest = hashlib.sha256(bare_weights(file))
+    digest.update(json.dumps(info.get("network", info["format"]), sort_keys=True).encode())
     return digest.hexdigest()[:16]
-
-
-def _info(weights: Path) -> Path:
-    return weights.with_suffix(".json")

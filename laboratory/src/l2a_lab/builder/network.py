@@ -6,7 +6,6 @@ functions take NumPy arrays, with which a search plays, and PyTorch tensors, wit
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.errors import InputError, check_name, extra
-from learn2assemble.files import check_exists, read_json, write_file
+from learn2assemble.files import check_exists, write_file
 from learn2assemble.tasks.design_features import NUM_FEATURES, NUM_SUMMARY
-from learn2assemble.values import mapping
+from learn2assemble.tasks.networks.agent_file import described, read_description
 
 FORMAT = "learn2assemble-builder"
 FOLDER = Path(__file__).parents[1] / "builders"
@@ -104,15 +103,14 @@ def check_file_name(name: str) -> None:
 
 
 def save_builder(builder: Builder, folder: Path) -> Path:
-    """Write ``NAME.safetensors`` and ``NAME.json`` into ``folder``; the path of the weights."""
+    """Write ``NAME.safetensors`` into ``folder``; its path."""
     with extra("safetensors", "learn"):
         from safetensors.numpy import save
 
     weights = folder / f"{builder.name}.safetensors"
-    content = save({k: np.ascontiguousarray(v) for k, v in builder.weights.items()})
-    write_file(weights, content, "agent")
     info = {"format": FORMAT, "version": 1, "name": builder.name, "origin": builder.origin}
-    write_file(weights.with_suffix(".json"), json.dumps(info, indent=1) + "\n", "agent")
+    tensors = {k: np.ascontiguousarray(v) for k, v in builder.weights.items()}
+    write_file(weights, save(tensors, described(info)), "agent")
     return weights
 
 
@@ -123,10 +121,10 @@ def builder_files() -> dict[str, Path]:
 
 def is_builder(name_or_path: str) -> bool:
     """Whether a name or a ``.safetensors`` file is a builder's, and no other agent's."""
-    info = _weights(name_or_path).with_suffix(".json")
-    if not info.is_file():
+    try:
+        return read_description(_weights(name_or_path)).get("format") == FORMAT
+    except InputError:
         return False
-    return f'"{FORMAT}"' in info.read_text(encoding="utf-8", errors="replace")
 
 
 def load_builder(name_or_path: str | Path = DEFAULT) -> Builder:
@@ -142,10 +140,8 @@ def load_builder(name_or_path: str | Path = DEFAULT) -> Builder:
     path = _weights(name_or_path)
     if path != Path(name_or_path):
         check_name("builder of designs", str(name_or_path), builder_files())
-    info_file = path.with_suffix(".json")
-    for file in (path, info_file):
-        check_exists(file, "file of a builder of designs")
-    info = mapping(read_json(info_file, "agent")[0], "agent")
+    check_exists(path, "file of a builder of designs")
+    info = read_description(path)
     try:
         if info["format"] != FORMAT:
             raise ValueError(f"format {info['format']!r}")

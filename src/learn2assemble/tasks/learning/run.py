@@ -2,7 +2,7 @@
 
 ``config.json`` (task, configuration, seed, versions), ``log.jsonl`` (one line per interval),
 ``tensorboard/`` where TensorBoard is installed, ``state.safetensors`` (everything needed to go
-on), ``agent.safetensors`` and ``agent.json`` (the network so far).
+on), ``agent.safetensors`` (the network so far).
 """
 
 from __future__ import annotations

@@ -1,27 +1,26 @@
 """Trained agents: a Q-network, and what it was trained for.
 
-An agent is two files: ``NAME.safetensors`` (weights) and ``NAME.json`` (architecture, task,
-training configuration, counters). The package carries those that most tasks need by default, in
-``pretrained/``; a checkout finds all the others by name in its folder ``agents/``.
+An agent is one file, ``NAME.safetensors``: weights, with architecture, task, training configuration
+and counters in its header (:mod:`.agent_file`). The package carries those that most tasks need by
+default, in ``pretrained/``; a checkout finds all the others by name in its folder ``agents/``.
 """
 
 from __future__ import annotations
 
 import copy
 import dataclasses
-import json
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from learn2assemble.errors import InputError, extra, look_up
-from learn2assemble.files import as_path, check_exists, read_json, replacing, write_file
+from learn2assemble.files import as_path, check_exists, replacing
+from learn2assemble.tasks.networks.agent_file import described, read_description
 from learn2assemble.tasks.networks.config import NETWORKS, NetworkConfig
 from learn2assemble.tasks.networks.placement import PlacementNetwork, PlacementValues
 from learn2assemble.tasks.networks.qnetwork import QFactors, QNetwork
-from learn2assemble.values import mapping
 
 with extra("torch", "learn"):
     import torch
@@ -84,16 +83,17 @@ def agent_files() -> dict[str, Path]:
     """Name and weights of the agents there are by name: those of the package, and of a checkout
     all others."""
     files = [f for folder in (REPOSITORY, PRETRAINED) for f in folder.glob("*.safetensors")]
-    return {f.stem: f for f in sorted(files, key=lambda f: f.stem) if _info_file(f).is_file()}
+    return {f.stem: f for f in sorted(files, key=lambda f: f.stem)}
 
 
-def agent_info(name: str) -> dict[str, Any]:
-    """The JSON part of an agent by name.
+def agent_info(name: str) -> Mapping[str, Any]:
+    """The description of an agent by name.
 
     Raises:
         UnknownNameError: for a name there is no agent of.
+        InputError: for a damaged file.
     """
-    return json.loads(_info_file(_named(name)).read_text(encoding="utf-8"))
+    return read_description(_named(name))
 
 
 def _named(name: str) -> Path:
@@ -108,10 +108,6 @@ def _named(name: str) -> Path:
         f"one of {known}; all others lie in the folder agents of the source "
         "repository: give the path of the .safetensors file",
     )
-
-
-def _info_file(weights: Path) -> Path:
-    return weights.with_suffix(".json")
 
 
 DEFAULTS = {
@@ -160,8 +156,8 @@ def write_tensors(
 
 
 def save_agent(agent: Agent, folder: Path) -> Path:
-    """Write both files into ``folder``; returns the path of the weights."""
-    weights = folder / f"{agent.name}.safetensors"
+    """Write an agent into ``folder``; returns the path of its file."""
+    file = folder / f"{agent.name}.safetensors"
     info = {
         "format": FORMAT,
         "version": 1,
@@ -171,9 +167,8 @@ def save_agent(agent: Agent, folder: Path) -> Path:
         "origin": agent.origin,
     }
     tensors = {k: v.detach().cpu().contiguous() for k, v in agent.network.state_dict().items()}
-    write_tensors(weights, tensors, "agent")
-    write_file(weights.with_suffix(".json"), json.dumps(info, indent=1) + "\n", "agent")
-    return weights
+    write_tensors(file, tensors, "agent", described(info))
+    return file
 
 
 def load_agent(name_or_path: str | Path, device: torch.device | str = "cpu") -> Agent:
@@ -181,7 +176,7 @@ def load_agent(name_or_path: str | Path, device: torch.device | str = "cpu") -> 
 
     Raises:
         UnknownNameError: for a name that is neither an agent's nor a path.
-        InputError: for files that are damaged or do not belong together.
+        InputError: for a file that is damaged or none of an agent.
     """
     path = as_path(name_or_path, "agent")
     if path.is_dir():
@@ -190,10 +185,8 @@ def load_agent(name_or_path: str | Path, device: torch.device | str = "cpu") -> 
         if len(path.parts) > 1:  # No agent's name: a file or folder that is misspelt.
             check_exists(path, "file or folder of an agent")
         path = _named(str(name_or_path))
-    for file in (path, _info_file(path)):
-        check_exists(file, "file of an agent")
+    info = read_description(path)
     try:
-        info = mapping(read_json(_info_file(path), "agent")[0], "agent")
         if info["format"] != FORMAT:
             raise ValueError(f"format {info['format']!r}")
         network = make_network(NetworkConfig(**info["network"]))
