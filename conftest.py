@@ -8,7 +8,7 @@ import pytest
 from hypothesis import settings
 
 from headless import find_browser
-from make_recordings import REFERENCE, SAMPLE
+from make_recordings import REFERENCE, unpack
 
 # The same examples on every machine, however slow it is; `pytest -m hypothesis
 # --hypothesis-profile=default` looks for others.
@@ -33,10 +33,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session")
-def reference() -> Path:
+def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of what the published simulator was recorded to do: all of it where it is present,
     else the part in ``tests/data``."""
-    return REFERENCE if REFERENCE.is_dir() else SAMPLE
+    if REFERENCE.is_dir():
+        return REFERENCE
+    folder = tmp_path_factory.mktemp("recordings")
+    unpack(folder)
+    return folder
 
 
 @pytest.fixture(scope="session")

@@ -1,8 +1,9 @@
-"""Makes ``tests/data/recordings``: a part of the recordings of the published simulator.
+"""Makes ``tests/data/recordings.jsonl.gz``: a part of the recordings of the published simulator.
 
 The whole of them (../shared/reference, 1.6 MB packed) is optional data beside the checkout; tests
 use it where it is present and this part otherwise. Of the steps with cubes and without an arm
 every second episode is kept, of everything else all, without the fields that nothing here reads.
+A line begins with the name of the file it is of.
 
 Usage: ``python tests/make_recordings.py [REFERENCE]``
 """
@@ -10,6 +11,7 @@ Usage: ``python tests/make_recordings.py [REFERENCE]``
 from __future__ import annotations
 
 import gzip
+import itertools
 import json
 import re
 import sys
@@ -19,7 +21,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 REFERENCE = ROOT.parent / "shared" / "reference"
-SAMPLE = Path(__file__).parent / "data" / "recordings"
+SAMPLE = Path(__file__).parent / "data" / "recordings.jsonl.gz"
 UNREAD = {
     "F_plane_before",
     "F_plane_after",
@@ -50,14 +52,28 @@ def sample_files(reference: Path) -> list[Path]:
     return sorted([*reference.glob("transitions_*.gz"), *reference.glob("resets_*.gz")])
 
 
+def unpack(folder: Path) -> None:
+    """Write the part into a folder, as files of the names that all of it has."""
+    with gzip.open(SAMPLE, "rt", encoding="utf-8") as stream:
+        for name, lines in itertools.groupby(
+            map(json.loads, stream), lambda line: line.pop("file")
+        ):
+            text = "".join(_line(line) for line in lines)
+            (folder / name).write_bytes(gzip.compress(text.encode(), 1))
+
+
+def _line(value: dict[str, Any]) -> str:
+    return json.dumps(value, separators=(",", ":")) + "\n"
+
+
 def main(reference: Path) -> None:
-    SAMPLE.mkdir(parents=True, exist_ok=True)
-    for file in sample_files(reference):
-        text = "".join(
-            json.dumps(line, separators=(",", ":")) + "\n" for line in sample_lines(file)
-        )
-        # No time and no name in the header: the same lines give the same bytes.
-        (SAMPLE / file.name).write_bytes(gzip.compress(text.encode(), 9, mtime=0))
+    text = "".join(
+        _line({"file": file.name, **line})
+        for file in sample_files(reference)
+        for line in sample_lines(file)
+    )
+    # No time and no name in the header: the same lines give the same bytes.
+    SAMPLE.write_bytes(gzip.compress(text.encode(), 9, mtime=0))
 
 
 if __name__ == "__main__":

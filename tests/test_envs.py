@@ -1,6 +1,6 @@
 """The Gymnasium environments: contracts, masks, autoreset, drawings, golden episodes.
 
-The golden episodes in ``tests/data/golden_<preset>.txt`` are rewritten by running this file:
+The golden episodes in ``tests/data/golden_episodes.txt`` are rewritten by running this file:
 ``python tests/test_envs.py [PRESET ...]``. Read the difference before you commit it.
 """
 
@@ -35,7 +35,6 @@ from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.task import PRESETS, get_task
 from learn2assemble.tasks.world.blocks import DIRECTIONS, RELATIONS
 
-DATA = Path(__file__).parent / "data"
 SMALL = "two-sided-3x3-20-24"
 INFO_KEYS = {"action_masks", "physics_mask", "coverage", "plane_coverage"}
 STEP_KEYS = {"verdict", "success", "clipped"}
@@ -532,8 +531,14 @@ def transcript(name: str) -> str:
     return "\n".join(lines)
 
 
-def golden(name: str) -> Path:
-    return DATA / f"golden_{name}.txt"
+EPISODES = Path(__file__).parent / "data" / "golden_episodes.txt"
+BETWEEN = "-" * 100 + "\n"
+
+
+def golden() -> dict[str, str]:
+    """The golden episodes by preset, as their first lines say."""
+    parts = EPISODES.read_text(encoding="utf-8").split(BETWEEN)
+    return {part.partition("/")[2].partition("-v0,")[0]: part for part in parts}
 
 
 GOLDEN = (
@@ -551,15 +556,15 @@ GOLDEN = (
 
 @pytest.mark.parametrize("name", GOLDEN)
 def test_golden_episode(name: str) -> None:
-    assert golden(name).exists(), f"no golden episode of {name}: run python {Path(__file__).name}"
-    assert transcript(name) == golden(name).read_text(encoding="utf-8")
+    assert transcript(name) == golden()[name], f"differs: see python {Path(__file__).name}"
 
 
 def test_no_golden_episode_besides() -> None:
-    assert {path.name for path in DATA.glob("golden_*.txt")} == {golden(n).name for n in GOLDEN}
+    assert sorted(golden()) == sorted(GOLDEN)
 
 
 if __name__ == "__main__":
-    DATA.mkdir(exist_ok=True)
-    for preset in sys.argv[1:] or GOLDEN:
-        golden(preset).write_text(transcript(preset), encoding="utf-8")
+    episodes = golden() if EPISODES.exists() else {}
+    episodes |= {preset: transcript(preset) for preset in sys.argv[1:] or GOLDEN}
+    text = BETWEEN.join(episodes[preset] for preset in GOLDEN if preset in episodes)
+    EPISODES.write_text(text, encoding="utf-8")

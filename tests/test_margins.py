@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
+import refusals
 from learn2assemble.assembly.blocks import Assembly, box_block
 from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.kit import load_kit
@@ -25,7 +25,6 @@ from learn2assemble.planning.tiling.ordering import to_assembly
 from learn2assemble.statics.rigid_blocks import bed_patches, margin
 from test_rigid_blocks import GRAVITY, about, wrenches
 
-DATA = Path(__file__).parent / "data" / "refusals"
 SIDES = 8
 
 
@@ -90,7 +89,7 @@ def test_a_margin_holds_all_round(seed: int) -> None:
 def test_a_step_is_not_said_to_withstand_more_than_it_does_at_an_angle() -> None:
     """Along x and y 0.489 g, at 135 degrees 0.351 g."""
     kit = load_kit("tetrominoes")
-    tiling, ordering = plan_exact(np.load(DATA / "tet1.npy"), kit)
+    tiling, ordering = plan_exact(refusals.wanted("tet1"), kit)
     assert ordering is not None
     assembly = to_assembly(tiling, ordering, kit)
     there: list[str] = []

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import json
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from learn2assemble.assembly.blocks import Assembly, Block, box_block
-from learn2assemble.assembly.files import read_assembly
+from learn2assemble.assembly.files import from_json
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.statics.rigid_blocks import FALLS, STANDS, UNCERTAIN, check
 
-DATA = Path(__file__).parent / "data" / "point_contacts"
-"""Settled in MuJoCo, where they stay within 1 mm for two seconds; see settled.py."""
-FALLING = Path(__file__).parent / "data" / "falling"
-"""Heaps without one of the stones that carry them, which move by more than 20 mm in a second."""
+_LINES = (Path(__file__).parent / "data" / "point_contacts.jsonl").read_text().splitlines()
+SAMPLES = {document["name"]: from_json(document) for document in map(json.loads, _LINES)}
+"""Assemblies by name. ``settled/...`` settled in MuJoCo, where they stay within 1 mm for two
+seconds; ``falling/...`` are heaps without one of the stones that carry them, which move by more
+than 20 mm in a second. See settled.py."""
 
 
 def ridge(name: str, x: float, height: float = 0.1) -> Block:
@@ -30,34 +33,33 @@ def plank(low: float, high: float, z: float = 0.1) -> Block:
     return box_block("plank", (low, -0.05, z), (high, 0.05, z + 0.04))
 
 
-@pytest.mark.parametrize("name", sorted(path.stem for path in DATA.glob("*.json")))
+@pytest.mark.parametrize("name", [name for name in SAMPLES if name.startswith("settled/")])
 def test_what_settled_on_edges_and_points_stands(name: str) -> None:
-    answer = check(read_assembly(DATA / f"{name}.json"))
+    answer = check(SAMPLES[name])
     assert answer.verdict == STANDS
     assert "certain" not in answer.proof
 
 
-@pytest.mark.parametrize("name", sorted(path.stem for path in FALLING.glob("*.json")))
+@pytest.mark.parametrize("name", [name for name in SAMPLES if name.startswith("falling/")])
 def test_what_falls_in_simulation_is_not_said_to_stand(name: str) -> None:
-    assert check(read_assembly(FALLING / f"{name}.json")).verdict in (FALLS, UNCERTAIN)
+    assert check(SAMPLES[name]).verdict in (FALLS, UNCERTAIN)
 
 
 def test_there_are_samples() -> None:
-    assert len(list(DATA.glob("*.json"))) == 12
-    assert len(list(FALLING.glob("*.json"))) == 4
+    assert Counter(name.partition("/")[0] for name in SAMPLES) == {"settled": 12, "falling": 4}
 
 
 @pytest.mark.parametrize("name", ["ck2_plank_on_ridges", "ck2_log_in_V", "planks-1", "log-0"])
 def test_what_rests_on_edges_gets_an_order(name: str) -> None:
     """Plans of given blocks see the contacts that the check sees."""
-    plan = plan_assembly(read_assembly(DATA / f"{name}.json"))
+    plan = plan_assembly(SAMPLES[f"settled/{name}"])
     assert plan.complete
     assert all((step.margin_g or 0) > 0 for step in plan.steps)
 
 
 def test_a_heap_that_needs_all_its_stones_is_said_to_stand_once_they_are_there() -> None:
     """In MuJoCo its stones 0 and 1 fall without stone 2, and stand with it."""
-    heap = read_assembly(DATA / "ck2_heap0.json")
+    heap = SAMPLES["settled/ck2_heap0"]
     plan = plan_assembly(heap)
     assert not plan.complete
     assert "with one block held at a time it is built" in (plan.reason or "")
@@ -76,7 +78,7 @@ def test_a_state_on_edges_that_is_not_certain_is_not_said_to_fall() -> None:
 
 def test_half_a_roof_falls_and_both_halves_stand() -> None:
     """What is not known of the ridge says nothing of a slab alone."""
-    roof = read_assembly(DATA / "roof-0.json")
+    roof = SAMPLES["settled/roof-0"]
     assert check(Assembly(roof.blocks[:1], friction=roof.friction)).verdict == FALLS
     assert "falls with any of" in (plan_assembly(roof).reason or "")
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.optimize import linprog
 
+import refusals
 from learn2assemble.assembly.kit import Kind, Kit, kit_names, load_kit, orientations
 from learn2assemble.planning.tiling.exact import plan_exact
 
@@ -219,16 +219,12 @@ def test_nothing_is_refused_that_stands_and_nothing_complete_falls(seed: int) ->
     assert compare(10_000 + seed) not in ("refused, possible",)
 
 
-REFUSALS = Path(__file__).parent / "data" / "refusals"
-
-
 @pytest.mark.parametrize(
     ("name", "friction"), [("wall213", None), ("rep", None), ("cant6", None), ("tie", 0.5)]
 )
 def test_what_was_refused_though_it_stands(name: str, friction: float | None) -> None:
-    file = REFUSALS / f"{name}.toml"
-    kit = load_kit(str(file) if file.exists() else "bricks-lintels")
-    tiling, ordering = plan_exact(np.load(REFUSALS / f"{name}.npy"), kit, friction=friction)
+    kit = refusals.kit(name)
+    tiling, ordering = plan_exact(refusals.wanted(name), kit, friction=friction)
     assert ordering is not None
     assert (tiling.status, ordering.status) == ("complete", "complete")
     check_plan(tiling, ordering, replace(kit, friction=friction or kit.friction))
@@ -237,8 +233,7 @@ def test_what_was_refused_though_it_stands(name: str, friction: float | None) ->
 def test_one_tiling_only_and_a_block_right_on_an_edge_is_no_refusal() -> None:
     """Of this heap there is a single tiling, in which a block is put down with its centre of mass
     right above the edge of what carries it: not called standing, nor proven to be impossible."""
-    kit = load_kit(str(REFUSALS / "157.toml"))
-    wanted = np.load(REFUSALS / "157.npy")
+    kit, wanted = refusals.kit("heap157"), refusals.wanted("heap157")
     assert len(list(tilings(wanted, kit))) == 1
     tiling, _ = plan_exact(wanted, kit)
     assert tiling.status == "not found"
