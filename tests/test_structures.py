@@ -7,6 +7,7 @@ import json
 import runpy
 import sys
 from functools import partial
+from itertools import combinations
 from pathlib import Path
 from types import ModuleType
 
@@ -16,6 +17,8 @@ import pytest
 import learn2assemble as l2a
 from learn2assemble.assembly.contacts import check_overlaps, find_contacts
 from learn2assemble.errors import InputError
+from learn2assemble.planning.clearance import FreeWays, overlap, parts_of
+from learn2assemble.planning.posts import find_posts
 from learn2assemble.statics.rigid_blocks import FALLS, STANDS
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "examples" / "structures"
@@ -142,6 +145,28 @@ def test_a_script_writes_its_assembly_and_a_plan_with_page_and_picture(
         ]
         blocks = json.loads(own.read_text())["blocks"]
         assert len(l2a.read_assembly(own).blocks) == len(blocks)
+
+
+def test_a_post_does_not_come_where_another_one_stands() -> None:
+    """Each post is found beside the given blocks alone, so two of them may want one place: the plan
+    of a dome once had both."""
+    assembly = script("dome").dome(rings=4, voussoirs=8)
+    contacts = find_contacts(assembly)
+    posts = find_posts(assembly.blocks, contacts)
+    count, parts = len(assembly.blocks), [parts_of(post.block) for post in posts]
+    blocks = (*assembly.blocks, *(post.block for post in posts))
+    ways = FreeWays(blocks, contacts, 1e-4, count)
+    pairs = [
+        (k, n)
+        for k, n in combinations(range(len(posts)), 2)
+        if posts[k].carries != posts[n].carries and overlap(parts[k], parts[n], 1e-3)
+    ]
+    assert pairs
+    for k, n in pairs[:: max(len(pairs) // 50, 1)]:
+        present = np.zeros(len(blocks), bool)
+        assert ways.free(count + k, present)
+        present[count + n] = True
+        assert not ways.free(count + k, present)
 
 
 def test_a_hull_has_one_polygon_for_each_plane_face() -> None:

@@ -91,6 +91,12 @@ class Clearance:
                     return True
         return False
 
+    def meets(self, block: int, present: np.ndarray) -> bool:
+        """Whether a block where it stands overlaps any of the ``present`` ones (bool[B])."""
+        others = present.copy()
+        others[block] = False
+        return bool(self._hits(block, np.zeros((1, 3)), others).any())
+
     def _out(self, block: int, way: np.ndarray, others: np.ndarray, offset: np.ndarray) -> bool:
         """Whether a block, moved by ``offset``, can be drawn out straight along a unit vector."""
         low, high = self.lower[block] + offset, self.upper[block] + offset
@@ -129,7 +135,8 @@ class FreeWays:
         blocks: where they stand.
         contacts: of them.
         depth: overlap that is rounding [m].
-        level: blocks from this one on go along the ground first; other props may.
+        level: blocks from this one on are posts that may be used: they go along the ground first,
+            which other props may, and only where no other post stands in their place.
     """
 
     def __init__(
@@ -143,6 +150,12 @@ class FreeWays:
     def free(self, block: int, present: np.ndarray) -> bool:
         """Whether a way of a block to or from its place is free among ``present`` (bool[B])."""
         key = block, present.tobytes()
+        if key not in self._known and block >= self.level:
+            # Each post was found beside the given blocks alone: two of them may want one place.
+            posts = present.copy()
+            posts[: self.level] = False
+            if self._clearance.meets(block, posts):
+                self._known[key] = False
         if key not in self._known:
             normals = self._pushing(block, present)
             ways = LEVEL[(LEVEL @ normals.T > -_ALONG).all(1)] if self.props[block] else LEVEL[:0]
