@@ -120,6 +120,23 @@ def test_crossing_height_clears_what_stands_and_what_hangs() -> None:
     assert crossing_height(pair, move._replace(cell=2)) == pytest.approx(base + 0.05)
 
 
+def test_ways_lead_past_what_stands_at_the_side_and_above_what_is_between() -> None:
+    places = [(-4, 4, k) for k in range(5)] + [(2, -1, k) for k in range(5)] + [(0, 0, 0)]
+    every = scene(places, [(3, -3, 0)])
+    move = Move(11, cell(1, 0, 0), *AA)
+    height = crossing_height(every, move)
+    aside = np.arange(12) < 5
+    far = every._replace(aside=aside)
+    # What is between both places counts, whether it is said to stand at the side or not.
+    assert crossing_height(far, move) == height
+    assert crossing_height(every._replace(aside=np.arange(12) < 10), move) == height
+    # Without that, what is at the side does not.
+    few = far.rows(np.array([0, 1, 2, 3, 4, 10, 11]), 6)
+    assert few.aside is not None
+    assert crossing_height(few, move._replace(cell=6)) == pytest.approx(height - 0.2)
+    assert crossing_height(few._replace(aside=None), move._replace(cell=6)) == height
+
+
 def test_put_down_lists_the_object_last_with_the_grasped_cell_first() -> None:
     before = scene([(0, 0, 0)], [(2, -3, 0), (3, -3, 0), (4, -3, 0), (6, -3, 0)], [0, 1, 2, 2, 3])
     after = put_down(before, Move(3, cell(0, 1, 0), *AB))

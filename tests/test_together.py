@@ -193,12 +193,22 @@ def design(x: int, y: int, z: int) -> Plan:
     return plan
 
 
-@pytest.fixture(scope="module")
-def crew() -> Pair:
-    plan = design(10, 2, 3)
+def crew_for(plan: Plan) -> Pair:
     assert plan.assembly is not None
     members = set_up_team(plan.assembly, SITE_ARMS, Site())
     return gather(plan, members, Workcell("ur5e"), KIT.joint_gap)
+
+
+@pytest.fixture(scope="module")
+def crew() -> Pair:
+    return crew_for(design(10, 2, 3))
+
+
+@pytest.mark.parametrize(("size", "count"), [((10, 2, 3), 10), ((16, 2, 5), 22)])
+def test_the_other_arm_is_gone_around_not_over(size: tuple[int, int, int], count: int) -> None:
+    """Ways above its base would be so high that places at the ends of a wall are out of reach."""
+    for found in crew_for(design(*size)).found:
+        assert (len(found.order.steps), found.order.stuck) == (count, {})
 
 
 def test_what_comes_before_a_block_is_lower_and_near(crew: Pair) -> None:

@@ -236,8 +236,20 @@ def rows_of(
         np.array(turn),
         hull if any(hull) else None,
         table=(float(world.table[0]), float(world.table[1]), float(world.table[2])),
+        aside=_aside(world.job, len(place)),
     )
     return Rows(scene, np.array(owner, np.int64), np.array(part, np.int64))
+
+
+def _aside(job: Job, count: int) -> np.ndarray | None:
+    """See :attr:`~learn2assemble.robot.moves.Scene.aside`: another arm, and what that takes.
+
+    Args:
+        count: of the rows of the scene, of which obstacles are the first ones.
+    """
+    found = np.zeros(count, bool)
+    found[: len(job.obstacles)] = [one.arm for one in job.obstacles]
+    return found if found.any() else None
 
 
 def direction_of(way: np.ndarray) -> Direction:

@@ -99,6 +99,9 @@ class Scene(NamedTuple):
     """Joints of studs between its cells, in a simulation; None: they only lie on one another."""
     table: tuple[float, float, float] = LEVEL_TABLE
     """How high the table is at the origin [m], and by how much it leans about x and y [rad]."""
+    aside: np.ndarray | None = None
+    """bool[n]: obstacles that stand at the side: ways lead past them, not above them, unless they
+    are between both ends of one; None: there are none."""
 
     @property
     def halves(self) -> np.ndarray:
@@ -140,8 +143,9 @@ class Scene(NamedTuple):
 
     def rows(self, cells: np.ndarray, num_placed: int) -> Scene:
         """The scene of some cells int64[m], of which the first ``num_placed`` are placed."""
-        half, density, turn = (
-            None if a is None else a[cells] for a in (self.half, self.density, self.quaternion)
+        half, density, turn, aside = (
+            None if a is None else a[cells]
+            for a in (self.half, self.density, self.quaternion, self.aside)
         )
         hull = None if self.hull is None else tuple(self.hull[k] for k in cells.tolist())
         return Scene(
@@ -153,6 +157,7 @@ class Scene(NamedTuple):
             density,
             turn,
             hull,
+            aside=aside,
         )
 
     def members(self, cell: int) -> np.ndarray:
@@ -301,10 +306,13 @@ repeat [m]."""
 def crossing_height(scene: Scene, move: Move) -> float:
     """Height of the tool between picking and placing [m].
 
-    What hangs below the grasped cell, and the fingertips, pass above everything else.
+    What hangs below the grasped cell, and the fingertips, pass above everything else but what
+    stands at the side.
     """
     members = scene.members(move.cell)
-    others = np.setdiff1d(np.arange(len(scene.position)), members)
+    counts = np.ones(len(scene.position), bool) if scene.aside is None else ~_passed(scene, move)
+    counts[members] = False
+    others = np.flatnonzero(counts)
     low, high = scene.bounds()
     highest = float(np.max(high[others, 2], initial=0.0))
     there, quaternion = carried(scene, move, members)
@@ -320,6 +328,21 @@ def crossing_height(scene: Scene, move: Move) -> float:
         rise = max(rise, float(move.place.tool_point(move.target)[2]) - goal)
         level = LEVEL if scene.half is None else FINE_LEVEL
     return level * math.ceil((max(highest, goal) + CLEARANCE + rise) / level - 1e-9)
+
+
+def _passed(scene: Scene, move: Move) -> np.ndarray:
+    """bool[n]: what stands at the side and so far from the straight line between both places that
+    nothing of what is carried comes above it."""
+    assert scene.aside is not None
+    start, end = scene.position[move.cell, :2], move.target[:2]
+    away, way = scene.position[:, :2] - start, end - start
+    share = (away @ way / max(float(way @ way), 1e-12)).clip(0.0, 1.0)
+    apart = np.linalg.norm(away - share[:, None] * way, axis=1)
+    members = scene.members(move.cell)
+    carries = np.linalg.norm(scene.position[members] - scene.position[move.cell], axis=1)
+    size = float((carries + np.linalg.norm(scene.halves[members], axis=1)).max())
+    room = np.hypot(*scene.halves[:, :2].T) + size + CLEARANCE
+    return scene.aside & (apart > room)
 
 
 def overload(arm: Arm, scene: Scene, move: Move) -> str | None:
