@@ -48,6 +48,7 @@ SITE_ARMS = SiteArm("ur5e", "ur5e"), SiteArm("panda", "panda")
 BRICK = (Part((0.0, 0.0, 0.0), (0.03, 0.02, 0.02)),)
 AWAY = still(solid_capsules(BRICK, np.array([0.0, 3.0, 0.0]), np.eye(3)))
 KIT = load_kit("bricks")
+LEGS = "approach", "cross", "home"
 
 
 def motion(stage: str, start: np.ndarray, end: np.ndarray) -> Motion:
@@ -56,11 +57,10 @@ def motion(stage: str, start: np.ndarray, end: np.ndarray) -> Motion:
 
 
 def route(arm: Arm, corners: list[np.ndarray]) -> Route:
-    """From home through some corners and back, a leg each."""
-    stops = [arm.home, *corners, arm.home]
+    """From home through two corners and back, a leg each."""
     legs = tuple(
-        Leg(f"leg {k}", sweep(arm, capsules_of(arm), np.array(stops[k : k + 2])))
-        for k in range(len(stops) - 1)
+        Leg(stage, sweep(arm, capsules_of(arm), np.array(way)))
+        for stage, way in zip(LEGS, pairwise([arm.home, *corners, arm.home]), strict=True)
     )
     held = in_hand(arm, solid_capsules(BRICK, np.array([0.0, 0.0, 0.02]), np.eye(3)))
     return Route("a", held, legs, AWAY)
@@ -77,7 +77,7 @@ def test_whatever_happens_when_both_come_to_their_ends(seed: int) -> None:
         jobs.append(
             [
                 [np.clip(arm.home + rng.normal(0, 0.45, len(arm.home)), lower, upper) for _ in "12"]
-                for _ in range(3)
+                for _ in range(4)
             ]
         )
     moving: list[tuple[int, np.ndarray] | None] = [None, None]
@@ -86,7 +86,7 @@ def test_whatever_happens_when_both_come_to_their_ends(seed: int) -> None:
     for _ in range(2000):
         progress = False
         for who in rng.permutation(2).tolist():
-            arm = ARMS[who]
+            arm, lane = ARMS[who], traffic.lanes[who]
             now = moving[who]
             if now is not None:
                 if rng.random() < 0.5:
@@ -97,23 +97,35 @@ def test_whatever_happens_when_both_come_to_their_ends(seed: int) -> None:
                         done += 1
                 progress = True
             elif left[who]:
+                comes_after = lane.behind
                 if traffic.enter(who, left[who][0]):
                     one = left[who].pop(0)
                     moving[who], progress = (who, one.joints[-1]), True
                     assert clear(traffic.lanes[0].here, traffic.lanes[1].here, APART)
                     together += moving[1 - who] is not None
+                    assert one.stage != "cross" or comes_after is None
                 else:
                     waited += 1
                     assert not traffic.stuck(who)
             elif jobs[who]:
-                corners = jobs[who][0]
-                if traffic.announce(who, route(arm, corners)):
+                corners, first = jobs[who][0], traffic.other(who).route
+                mine = route(arm, corners)
+                if jobs[1 - who] and rng.random() < 0.7:
+                    # It places what the next way of the other one leads through.
+                    there, own = jobs[1 - who][0][1][None], ARMS[1 - who]
+                    mine = mine._replace(goal=sweep(own, capsules_of(own), there))
+                fits = traffic.announce(who, mine)
+                if not fits and first is not None and traffic.announce(who, mine, behind=True):
+                    assert lane.behind is first
+                    fits = True
+                if fits:
                     stops = [arm.home, *jobs[who].pop(0), arm.home]
                     left[who] = [
-                        motion(f"leg {k}", stops[k], stops[k + 1]) for k in range(len(stops) - 1)
+                        motion(stage, *way)
+                        for stage, way in zip(LEGS, pairwise(stops), strict=True)
                     ]
                     progress = True
-                elif traffic.other(who).route is None:
+                elif first is None:
                     # Not even alone: the other arm stands there.
                     jobs[who].pop(0)
                     skipped += 1
@@ -122,9 +134,43 @@ def test_whatever_happens_when_both_come_to_their_ends(seed: int) -> None:
             break
         assert progress, "both wait"
     assert not any(left)
-    assert done + skipped == 6
-    assert done >= 3
+    assert done + skipped == 8
+    assert done >= 4
     assert together + waited > 0
+
+
+def test_an_arm_that_comes_after_the_other_one_fetches_meanwhile_and_then_crosses() -> None:
+    """Of two routes through the same place the second one begins, but does not cross before the
+    first one is over; where nothing was placed then, it ends there, and takes its block back."""
+    traffic, plant = Traffic(ARMS), Still(RIGHT)
+    plants = Still(LEFT), plant
+    one, two = (ArmInTraffic(p, traffic, k) for k, p in enumerate(plants))  # pyright: ignore[reportArgumentType]
+    corners = [[arm.home + step * np.eye(len(arm.home))[0] for step in (0.1, 0.2)] for arm in ARMS]
+    mine, other = (route(arm, where) for arm, where in zip(ARMS, corners, strict=True))
+    goal = sweep(LEFT, capsules_of(LEFT), corners[0][0][None])
+    mine, other = mine._replace(goal=goal), other._replace(goal=goal)
+    assert traffic.announce(0, mine)
+    assert not traffic.announce(1, other)
+    assert traffic.announce(1, other, behind=True)
+    way = motion("approach", RIGHT.home, corners[1][0])
+    assert two.execute(way).stop == Stop.END
+    across = motion("cross", *corners[1])
+    for placed in (True, False):
+        traffic.lanes[1].behind = mine
+        traffic.lanes[0].route = mine
+        assert not traffic.enter(1, across)
+        assert not traffic.stuck(1)
+        traffic.over(0, placed)
+        if placed:
+            assert traffic.enter(1, across)
+            traffic.stands(1, corners[1][0], True)
+    told = len(plant.told)
+    with pytest.raises(Failure, match="not placed"):
+        two.execute(across)
+    assert len(plant.told) == told
+    # It is told once, and goes where it likes then.
+    assert two.execute(across).stop == Stop.END
+    assert one.execute(motion("approach", LEFT.home, corners[0][0])).stop == Stop.END
 
 
 class Still:
@@ -227,13 +273,31 @@ def test_what_comes_before_a_block_is_lower_and_near(crew: Pair) -> None:
     )
 
 
+def counted(traffic: Traffic) -> list[bool]:
+    """Of all that is announced from now on, whether it is behind what the other arm does."""
+    found, announce = list[bool](), traffic.announce
+
+    def told(who: int, route: Route, behind: bool = False) -> bool:
+        fits = announce(who, route, behind)
+        if fits:
+            found.append(behind)
+        return fits
+
+    traffic.announce = told
+    return found
+
+
 def test_two_arms_build_together(crew: Pair) -> None:
     both = Together(crew, Watched)
     told: list[str] = []
+    announced = counted(both.traffic)
     assert both.run(told.append) is None
     assert both.complete
     assert {turn.arm for turn in both.turns} == {0, 1}
     first, second = ([t for t in both.turns if t.arm == who] for who in range(2))
+    # Some are fetched while the other arm places what comes before them.
+    assert len(announced) == len(both.turns)
+    assert any(announced)
     # Both at the same time, and each one thing after the other.
     assert any(a.begin < b.end and b.begin < a.end for a in first for b in second)
     for mine in (first, second):

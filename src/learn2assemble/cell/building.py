@@ -113,6 +113,8 @@ class Building:
         """So long the arm did nothing before an attempt, where others work meanwhile [s], ..."""
         self.gone: StepMotion | None = None
         """... after it has done this, since its last attempt."""
+        self.chosen: Callable[[], None] = lambda: None
+        """Called when it is decided how the arm moves, before it does."""
         self.recording = Recording(self.world, self.joints, words)
         self._resume()
 
@@ -173,6 +175,7 @@ class Building:
                 action = action._replace(goal=self.known.fitted(k))
             skip = self.known.fails[key] % TRIES
             move, why, rows = self._way(action, skip)
+        self.chosen()
         if move is None or rows is None:
             if presented:
                 self._take_back(k)

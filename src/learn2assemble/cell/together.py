@@ -24,7 +24,7 @@ from learn2assemble.cell.report import Attempted, Witness, Worked, carried_out, 
 from learn2assemble.cell.state import Action, Done
 from learn2assemble.cell.traffic import ArmInTraffic, Route, Traffic, route_of
 from learn2assemble.cell.workcell import Progress, Workcell
-from learn2assemble.cell.world import rows_of
+from learn2assemble.cell.world import STANDING, STOCK, rows_of
 from learn2assemble.motion.plant import Plant, PlantError, Readings, standing
 from learn2assemble.motion.record import RATE, BuildRecord
 from learn2assemble.motion.recorder import StepMotion
@@ -114,6 +114,10 @@ def _worker(
     return Worked(Building(found, workcell, plant, words, witness=witness), workcell, witness, name)
 
 
+def _nothing() -> None:
+    """What is called where nobody has asked for more."""
+
+
 @dataclass
 class Turn:
     """An attempt in the time line of a build by two arms."""
@@ -155,6 +159,12 @@ class Together(Generic[Cell]):
         self.turns: list[Turn] = []
         self.tried: tuple[dict[int, Route], dict[int, Route]] = ({}, {})
         """What each arm would have announced for blocks whose way the other one was in."""
+        self.behind: tuple[set[int], set[int]] = (set(), set())
+        """Blocks that each arm could not even fetch before those that the other one moves."""
+        self.after: list[Route | None] = [None, None]
+        """Of the other arm, where an arm fetches a block that comes after that."""
+        self.assumes = [False, False]
+        """Whether an arm takes the block of the other one to stand already, while it chooses."""
         self.under = lower_beside(job) if not crew.found[0].structure.leans else {}
         """By piece, those that come before it, see :func:`lower_beside`; as planned where blocks
         lean."""
@@ -214,6 +224,9 @@ class Together(Generic[Cell]):
             action = known.choose()
             if action is None:
                 return None
+            if not isinstance(action, Action) and self._fetch(who, progress):
+                idle = 0
+                continue
             if isinstance(action, Action):
                 if self._act(who, action, progress):
                     idle = 0
@@ -236,9 +249,11 @@ class Together(Generic[Cell]):
         """One attempt; False where it did not begin."""
         building, world = self.buildings[who], self.buildings[who].world
         before, begin = list(world.state), building.plant.sense().time
+        if self.assumes[who]:
+            before[self.moves[1 - who]] = STOCK
         building.stood = self._stood(who, begin)
         acted = building.act(action)
-        self.traffic.over(who)
+        self.traffic.over(who, acted and building.world.state[self.moves[who]] == STANDING)
         if not acted:
             return False
         last, end = building.known.done[-1], building.plant.sense().time
@@ -250,6 +265,43 @@ class Together(Generic[Cell]):
         text += f"{last.outcome}{': ' + last.detail if last.detail else ''}, {left} steps left"
         progress(Detail(text) if last.outcome == Outcome.REACHED.label else text)
         return True
+
+    def _fetch(self, who: int, progress: Progress) -> bool:
+        """An attempt with a block that comes after the one that the other arm moves, which is taken
+        to stand already while that is chosen; False where there is none."""
+        building, known, first = self.buildings[who], self.buildings[who].known, self.moves[1 - who]
+        route, world, tried = self.traffic.other(who).route, building.world, self.behind[who]
+        if route is None or first in self.lost or world.state[first] != STOCK:
+            return False
+        hidden, kept = world.pose[first].copy(), (known.postponed, known.refused)
+
+        def restore() -> None:
+            if not self.assumes[who]:
+                return
+            self.assumes[who] = False
+            known.elsewhere, (known.postponed, known.refused) = self._elsewhere(who), kept
+            world.pose[first], world.state[first] = hidden, STOCK
+
+        building.chosen = restore
+        try:
+            while self.traffic.other(who).route is route:
+                self.assumes[who] = True
+                world.pose[first], world.state[first] = world.target(first), STANDING
+                known.elsewhere, known.postponed = set(self.lost), set(tried)
+                known.refused, known.later = {}, self._later(who)
+                action, fails = known.choose(), known.fails.copy()
+                if not isinstance(action, Action) or action.what != "place":
+                    return False
+                self.after[who] = route
+                if self._act(who, action, progress):
+                    return True
+                # That it cannot be placed so says nothing of how it can be placed later.
+                known.fails = fails
+                tried.add(action.block)
+            return False
+        finally:
+            restore()
+            building.chosen, self.after[who] = _nothing, None
 
     def _stood(self, who: int, now: float) -> float:
         """So long an arm has stood [s]: its record is on the clock of both, and tells what it did
@@ -314,9 +366,13 @@ class Together(Generic[Cell]):
         def announce(run: Execution, block: str) -> bool:
             building, route = self.buildings[who], route_of(run, block)
             k = building.world.names.index(block)
-            if self.traffic.announce(who, route):
+            after = self.after[who]
+            behind = after is not None and self.traffic.other(who).route is after
+            if self.traffic.announce(who, route, behind):
                 self.moves[who] = k
                 return True
+            if after is not None:
+                return False
             building.known.postponed.add(k)
             self.tried[who][k] = route
             other = self.traffic.other(who)
@@ -329,6 +385,8 @@ class Together(Generic[Cell]):
     def _tell(self, who: int, changed: set[int]) -> None:
         """Tell the other arm what came of an attempt."""
         mine, other = self.buildings[who], self.buildings[1 - who]
+        if self.assumes[1 - who]:
+            other.chosen()
         while len(other.world.pieces) < len(mine.world.pieces):
             other.recording.replace(mine.recording.like[len(other.recording.like)])
             other.names.add(mine.world.names[-1])
@@ -347,4 +405,5 @@ class Together(Generic[Cell]):
     def _changed(self, who: int) -> None:
         """What an arm has tried before it may try again, as things are otherwise now."""
         self.tried[who].clear()
+        self.behind[who].clear()
         self.buildings[who].known.postponed.clear()

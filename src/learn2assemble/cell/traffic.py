@@ -6,6 +6,9 @@ what that sweeps is its own, wherever on it the arm is: what the other arm may d
 when something happens, and an arm that is stopped leaves the other one safe. An arm may begin a leg
 if that is clear of what the other arm is on, and if both can come to the end of what they announced
 afterwards, one leg at a time. That is so before every leg, so one of the two can always go on.
+
+An arm whose block comes after the one that the other arm moves may fetch it meanwhile: it announces
+a route *behind* that of the other arm, and waits before it crosses until that is over.
 """
 
 from __future__ import annotations
@@ -45,6 +48,9 @@ EVERY = 5
 """Of the samples of a motion so many are taken together: the arm is within half a millimetre of the
 straight line between two that are left."""
 IN_THE_WAY = "the other arm is in the way"
+NOT_PLACED = "the block that comes before it was not placed"
+BEHIND = ("cross", "place")
+"""Stages that begin only when what they are behind is over."""
 
 
 class Leg(NamedTuple):
@@ -85,6 +91,10 @@ class Lane:
     """Whether the other arm could not set out because this one stands there with nothing to do."""
     refused: int = -1
     """Count of changes at which it was told to wait."""
+    behind: Route | None = None
+    """Of the other arm: before that is over this one does not cross."""
+    in_vain: bool = False
+    """Whether that is over and its block is not in its place."""
     capsules: Capsules = field(init=False)
 
     def __post_init__(self) -> None:
@@ -117,9 +127,21 @@ class Traffic:
 
     # ------------------------------------------------------------ announcing
 
-    def fits(self, who: int, route: Route) -> bool:
-        """Whether an arm that stands may set out on a route."""
+    def fits(self, who: int, route: Route, behind: bool = False) -> bool:
+        """Whether an arm that stands may set out on a route.
+
+        Args:
+            behind: it waits before it crosses until what the other arm has announced is over, whose
+                block then stands where it is to stand.
+        """
         lane, other = self.lanes[who], self.other(who)
+        if behind and other.route is not None:
+            own = first_behind(route.legs)
+            if not all(
+                self._clear(leg.swept, other.route.goal, PLANNED) for leg in route.legs[:own]
+            ):
+                return False
+            return self._complete(lane.here.end, route.legs, other.here.end, other.ahead, own)
         if other.route is not None:
             legs = (other.here, *(leg.swept for leg in other.ahead))
             if not all(self._clear(one, route.goal, PLANNED) for one in legs):
@@ -128,18 +150,24 @@ class Traffic:
                 return False
         return self._complete(lane.here.end, route.legs, other.here.end, other.ahead)
 
-    def announce(self, who: int, route: Route) -> bool:
+    def announce(self, who: int, route: Route, behind: bool = False) -> bool:
         """As :meth:`fits`; if so, the route is known from now on."""
-        if not self.fits(who, route):
+        if not self.fits(who, route, behind):
             return False
         lane = self.lanes[who]
         lane.route, lane.ahead, lane.on_route, lane.stage = route, route.legs, True, ""
+        lane.behind, lane.in_vain = self.other(who).route if behind else None, False
         self.changes += 1
         return True
 
-    def over(self, who: int) -> None:
-        """What an arm announced is over."""
+    def over(self, who: int, placed: bool = True) -> None:
+        """What an arm announced is over.
+
+        Args:
+            placed: whether its block is where it was to be.
+        """
         lane = self.lanes[who]
+        self._over(who, placed)
         lane.route, lane.ahead, lane.on_route, lane.holding = None, (), True, False
         self.changes += 1
 
@@ -147,8 +175,16 @@ class Traffic:
         """An arm does not move any more; it is somewhere on the leg it was on, with what it
         holds."""
         lane = self.lanes[who]
+        self._over(who, placed=False)
         lane.route, lane.ahead, lane.on_route = None, (), False
         self.changes += 1
+
+    def _over(self, who: int, placed: bool) -> None:
+        """Whoever waits for it may go on."""
+        lane, other = self.lanes[who], self.other(who)
+        lane.behind, lane.in_vain = None, False
+        if lane.route is not None and other.behind is lane.route:
+            other.behind, other.in_vain = None, not placed
 
     # ------------------------------------------------------------ moving
 
@@ -157,6 +193,9 @@ class Traffic:
         :meth:`stands`."""
         lane, other = self.lanes[who], self.other(who)
         if lane.refused == self.changes:
+            return False
+        if lane.behind is not None and motion.stage in BEHIND:
+            lane.refused = self.changes
             return False
         swept = lane.swept(np.vstack([motion.joints[:-1:EVERY], motion.joints[-1:]]))
         ahead, on_route = lane.ahead, lane.on_route
@@ -167,7 +206,8 @@ class Traffic:
             ahead, on_route = (), False
         free = clear(swept, other.here, APART)
         if free and on_route:
-            free = self._complete(swept.end, ahead, other.here.end, other.ahead)
+            first, second = self._waits(who, ahead), self._waits(1 - who, other.ahead)
+            free = self._complete(swept.end, ahead, other.here.end, other.ahead, first, second)
         if not free:
             lane.refused = self.changes
             return False
@@ -194,20 +234,42 @@ class Traffic:
 
     # ------------------------------------------------------------ what follows
 
+    def _waits(self, who: int, ahead: Sequence[Leg]) -> int | None:
+        """The first of the legs ahead of an arm that comes when the other arm has done all of its
+        own; None: it does not wait."""
+        return None if self.lanes[who].behind is None else first_behind(ahead)
+
     def _complete(
-        self, here: Sweep, legs: Sequence[Leg], there: Sweep, others: Sequence[Leg]
+        self,
+        here: Sweep,
+        legs: Sequence[Leg],
+        there: Sweep,
+        others: Sequence[Leg],
+        first: int | None = None,
+        second: int | None = None,
     ) -> bool:
         """Whether two arms that stand can do all that is ahead of them, one leg at a time in some
-        order."""
+        order.
+
+        Args:
+            here: where the one stands,
+            legs: and what is ahead of it.
+            there: where the other one stands,
+            others: and what is ahead of it.
+            first: this leg of the one and all after it come when the other one is done.
+            second: the same of the other one.
+        """
         mine = [here, *(leg.swept.end for leg in legs)]
         theirs = [there, *(leg.swept.end for leg in others)]
         reached = np.zeros((len(mine), len(theirs)), bool)
         reached[0, 0] = True
         for i in range(len(mine)):
             for j in range(len(theirs)):
-                if i and reached[i - 1, j]:
+                waits = first is not None and i > first and j < len(theirs) - 1
+                if i and reached[i - 1, j] and not waits:
                     reached[i, j] |= self._clear(legs[i - 1].swept, theirs[j], PLANNED)
-                if j and reached[i, j - 1] and not reached[i, j]:
+                waits = second is not None and j > second and i < len(mine) - 1
+                if j and reached[i, j - 1] and not reached[i, j] and not waits:
                     reached[i, j] = self._clear(others[j - 1].swept, mine[i], PLANNED)
         return bool(reached[-1, -1])
 
@@ -259,8 +321,14 @@ class ArmInTraffic(WrappedPlant):
         moves = moves and bool(np.ptp(motion.joints, axis=0).any())
         kept = (Guard(hold="kept"),) if any(one.hold == "kept" for one in guards) else ()
         waited: list[Report] = []
-        while moves and not self.traffic.enter(self.who, motion):
+        while moves:
+            if lane.in_vain and motion.stage in BEHIND:
+                lane.in_vain = False  # As below.
+                raise Failure(Outcome.UNREACHABLE, motion.stage, NOT_PLACED)
+            if self.traffic.enter(self.who, motion):
+                break
             if self.traffic.stuck(self.who):
+                lane.behind = None  # It takes its block back.
                 raise Failure(Outcome.UNREACHABLE, motion.stage, IN_THE_WAY)
             report = self.plant.execute(standing(motion.stage, motion.joints[0], PAUSE), (), kept)
             waited.append(report)
@@ -275,6 +343,11 @@ class ArmInTraffic(WrappedPlant):
         if moves or holding != lane.holding:
             self.traffic.stands(self.who, report.joints, holding)
         return _joined([*waited, report], done=report.done)
+
+
+def first_behind(legs: Sequence[Leg]) -> int:
+    """Number of the first leg that begins only when what it is behind is over."""
+    return next((n for n, leg in enumerate(legs) if leg.stage in BEHIND), len(legs))
 
 
 def _joined(reports: Sequence[Report], done: float) -> Report:
