@@ -29,11 +29,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 from numba import njit
-from scipy.sparse.linalg import splu
 
 from learn2assemble.blas import by_one_thread
+from learn2assemble.statics.block_factors import BlockMatrix
 from learn2assemble.statics.hands import STIFFNESS, HandSprings, HeldBlock
 
 _SPRING = 1e-10
@@ -56,8 +55,8 @@ what is soft comes back from there in the first steps."""
 _TRIED, _TRIED_OF_MANY = (0, 1, 2, 3, 5, 7, 10, 14), (0, 1, 3)
 """Rounds of the nearest law after which the coupled law is tried, also where blocks are many: these
 touch with faces as a rule, and of such nothing more was found by later ones."""
-_DENSE = 30
-"""Blocks up to which matrices are not sparse."""
+_FEW = 30
+"""Blocks that are not many."""
 _COUPLED, _NEAREST = 0, 1
 
 
@@ -94,7 +93,9 @@ class Joined:
         self.body, self.wrench = body, wrench
         self.stiffness, self.weight = stiffness, weight
         self.count, self.corners = len(weight), body.shape[1]
-        self._layout = _Layout(self.count, body)
+        self._matrix = BlockMatrix(self.count, body)
+        known = np.maximum(body, 0)
+        self._places = self._matrix.places(known[:, None], known[None])
         self._force = np.zeros((2, self.corners, 3))
         self._slope = np.zeros((2, self.corners, 3, 3))
         self._left = np.empty((2, self.count, 6))
@@ -141,7 +142,7 @@ class Joined:
     ) -> tuple[bool, ElasticAnswer]:
         """As coupled, from motions of the nearest law: of ``found``, at first."""
         balances = True
-        tried = _TRIED if self.count <= _DENSE else _TRIED_OF_MANY
+        tried = _TRIED if self.count <= _FEW else _TRIED_OF_MANY
         for number in range(tried[-1] + 1):
             if not balances or np.abs(found.motion).max(initial=0.0) > _FAR:
                 break
@@ -263,10 +264,15 @@ class Joined:
 
     def _change(self, law: _JointResponse, now: int, leak: float) -> np.ndarray | None:
         """The change of motion of a step of Newton's method, or None."""
-        bodies = self.body, self.wrench
-        hands = self.hands.body, self._hand_slope[now] + leak * STIFFNESS * np.eye(6)
-        matrix = self._layout.matrix(bodies, hands, self._slope[now], leak, law.springs)
-        change = self._layout.solve(matrix, self._left[now])
+        data, hands = self._matrix.data, self._matrix.diagonal(self.hands.body)
+        _assemble(self.body, self.wrench, self._slope[now], leak, law.springs, *self._places, data)
+        for body, slope in zip(hands, self._hand_slope[now], strict=True):
+            data[body] += slope + leak * STIFFNESS * np.eye(6)
+        along = np.arange(6)
+        # Blocks that nothing holds have springs to the ground, and rounding does not undo these.
+        diagonal = data[: self.count, along, along]
+        data[: self.count, along, along] += _SPRING + 1e-12 * diagonal.max(initial=0.0)
+        change = self._matrix.solve(self._left[now])
         return change if change is not None and np.isfinite(change).all() else None
 
     def _answer(
@@ -289,82 +295,6 @@ class _JointResponse(NamedTuple):
     friction: np.ndarray
     hands: np.ndarray
     """float64[h, 6]: wrenches of hands without motion."""
-
-
-class _Layout:
-    """Where the 6 x 6 blocks of the derivative of all forces are in its matrix."""
-
-    def __init__(self, count: int, joined: np.ndarray) -> None:
-        self.count = count
-        body = np.arange(count)
-        if count <= _DENSE:
-            self._place = lambda row, column: 6 * (row + 6 * count * column)
-            self._stride = lambda column: np.full(len(column), 6 * count)
-            self.size = (6 * count) ** 2
-        else:
-            self._sparse(count, *joined)
-        known = np.maximum(joined, 0)
-        row, column = np.broadcast_arrays(known[:, None], known[None])
-        self.at = self._place(row.reshape(-1), column.reshape(-1)).reshape(row.shape)
-        self.stride = self._stride(column.reshape(-1)).reshape(row.shape)
-        along = (self._stride(body)[:, None] + 1) * np.arange(6)
-        self.diagonal: np.ndarray = (self._place(body, body)[:, None] + along).reshape(-1)
-        self.data = np.zeros(self.size)
-
-    def _sparse(self, count: int, a: np.ndarray, b: np.ndarray) -> None:
-        both = (a >= 0) & (b >= 0)
-        codes = (np.arange(count) * (count + 1), (b * count + a)[both], (a * count + b)[both])
-        known = np.unique(np.concatenate(codes))
-        column, row = known // count, known % count
-        first = np.searchsorted(column, np.arange(count + 1))
-        tall = 6 * np.diff(first)
-        offset = 36 * first[column] + 6 * (np.arange(len(known)) - first[column])
-        self._place = lambda row, column: offset[
-            np.minimum(np.searchsorted(known, column * count + row), len(known) - 1)
-        ]
-        self._stride = lambda column: tall[column]
-        self.size = 36 * len(known)
-        at = offset[:, None, None] + tall[column][:, None, None] * np.arange(6)[:, None]
-        self.index = np.empty(self.size, np.int32)
-        self.index[at + np.arange(6)] = (6 * row[:, None] + np.arange(6))[:, None]
-        self.start = np.concatenate([[0], np.cumsum(np.repeat(tall, 6))]).astype(np.int32)
-
-    def matrix(
-        self,
-        bodies: tuple[np.ndarray, np.ndarray],
-        hands: tuple[np.ndarray, np.ndarray],
-        slope: np.ndarray,
-        leak: float,
-        springs: np.ndarray,
-    ) -> np.ndarray:
-        """The derivative, a little of every spring included.
-
-        Args:
-            hands: int64[h], blocks, and float64[h, 6, 6], what is added for each.
-        """
-        _assemble(*bodies, slope, leak, springs, self.at, self.stride, self.data)
-        for body, more in zip(*hands, strict=True):
-            at, step = self._place(body, body), self._stride(np.array([body]))[0]
-            self.data[at + step * np.arange(6)[:, None] + np.arange(6)] += more
-        self.data[self.diagonal] += _SPRING + 1e-12 * self.data[self.diagonal].max(initial=0.0)
-        return self.data
-
-    def solve(self, data: np.ndarray, right: np.ndarray) -> np.ndarray | None:
-        """The change of motion float64[n, 6] by which a derivative gives ``right``, or None."""
-        size, flat = 6 * self.count, right.reshape(-1)
-        try:
-            if self.count <= _DENSE:
-                return np.linalg.solve(data.reshape(size, size).T, flat).reshape(-1, 6)
-            # Nearly symmetric: pivots are taken from the diagonal while they are not small.
-            factors = splu(
-                sp.csc_matrix((data, self.index, self.start), (size, size)),
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=1e-3,
-                options={"SymmetricMode": True},
-            )
-        except (np.linalg.LinAlgError, RuntimeError):  # exactly singular
-            return None
-        return factors.solve(flat).reshape(-1, 6)
 
 
 # ---------------------------------------------------------------- compiled
@@ -440,15 +370,15 @@ def _respond(motion, load, body, wrench, kind, near, springs, friction, force, s
 
 
 @njit(cache=True)
-def _assemble(body, wrench, slope, leak, springs, at, stride, data):
-    """Add wrench.T @ slope @ wrench of both sides of every corner to the blocks of a matrix.
+def _assemble(body, wrench, slope, leak, springs, at, turned, data):
+    """Set a matrix to the sum of wrench.T @ slope @ wrench over both sides of every corner.
 
     A corner couples the two blocks it lies between, each with itself and with the other one: up to
-    four blocks of 6 x 6, at places that depend on which blocks touch only and are known (``at``).
+    four blocks of 6 x 6, at places that depend on which blocks touch only and are known (``at``,
+    ``turned``).
     """
-    for k in range(len(data)):
-        data[k] = 0.0
-    d, turned = np.empty((3, 3)), np.empty((3, 6))
+    data[:] = 0.0
+    d, moved = np.empty((3, 3)), np.empty((3, 6))
     for p in range(body.shape[1]):
         for r in range(3):
             for c in range(3):
@@ -460,14 +390,16 @@ def _assemble(body, wrench, slope, leak, springs, at, stride, data):
                 continue
             for r in range(3):
                 for c in range(6):
-                    turned[r, c] = 0.0
+                    moved[r, c] = 0.0
                     for k in range(3):
-                        turned[r, c] += d[r, k] * wrench[column, p, k, c]
+                        moved[r, c] += d[r, k] * wrench[column, p, k, c]
             for row in range(2):
                 if body[row, p] < 0:
                     continue
-                begin, step = at[row, column, p], stride[row, column, p]
-                for c in range(6):
-                    for r in range(6):
+                block = data[at[row, column, p]]
+                if turned[row, column, p]:
+                    block = block.T
+                for r in range(6):
+                    for c in range(6):
                         for k in range(3):
-                            data[begin + step * c + r] += wrench[row, p, k, r] * turned[k, c]
+                            block[r, c] += wrench[row, p, k, r] * moved[k, c]

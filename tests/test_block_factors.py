@@ -1,0 +1,93 @@
+"""Systems of equations in blocks of 6 x 6, against those of dense matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from learn2assemble.statics.block_factors import BlockMatrix
+
+
+def touching(count: int, share: float, rng: np.random.Generator) -> np.ndarray:
+    """int64[2, c]: random bodies that touch, some pairs more than once, and some of nobody."""
+    pairs = rng.integers(0, count, (2, int(share * count) + 1))
+    return np.concatenate(
+        [pairs, pairs[::-1, ::2], np.stack([pairs[0], -np.ones_like(pairs[0])])], 1
+    )
+
+
+def filled(
+    matrix: BlockMatrix, pairs: np.ndarray, rng: np.random.Generator, lean: float
+) -> np.ndarray:
+    """The dense matrix of which the blocks were put into ``matrix``.
+
+    Args:
+        lean: how far it is from symmetric.
+    """
+    count = matrix.count
+    dense = np.zeros((count, 6, count, 6))
+    for a, b in pairs.T.tolist():
+        if min(a, b) < 0:
+            continue
+        # Springs between two bodies, which are not the same in both directions.
+        spring = rng.normal(size=(6, 6))
+        spring = spring @ spring.T + lean * rng.normal(size=(6, 6))
+        for row, column, sign in ((a, a, 1), (a, b, -1), (b, a, -1), (b, b, 1)):
+            dense[row, :, column] += sign * spring * (a != b)
+    along = np.arange(6)
+    for k in range(count):
+        dense[k, along, k, along] += 1.0
+    matrix.data[:] = 0.0
+    done = set()
+    for a, b in [*pairs.T.tolist(), *((k, k) for k in range(count))]:
+        for row, column in {(a, b), (b, a), (a, a), (b, b)}:
+            if min(row, column) < 0 or (row, column) in done:
+                continue
+            done.add((row, column))
+            at, turned = matrix.places(np.array(row), np.array(column))
+            block = dense[row, :, column]
+            matrix.data[int(at)] = block.T if turned else block
+    return dense.reshape(6 * count, 6 * count)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    count=st.integers(1, 40),
+    share=st.floats(0, 4),
+    lean=st.sampled_from([0.0, 0.3]),
+    seed=st.integers(0, 2**31),
+)
+def test_it_solves_what_a_dense_matrix_does(
+    count: int, share: float, lean: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    pairs = touching(count, share, rng)
+    matrix = BlockMatrix(count, pairs)
+    dense = filled(matrix, pairs, rng, lean)
+    right = rng.normal(size=(count, 6))
+    found = matrix.solve(right)
+    assert found is not None
+    left = dense @ found.reshape(-1) - right.reshape(-1)
+    # Pivots stay inside the blocks, so a matrix that leans costs some digits, not all of them.
+    size = np.abs(dense).max() * np.abs(found).max() + 1
+    assert np.abs(left).max() < 1e-9 * size
+
+
+def test_factors_of_a_grid_have_few_blocks() -> None:
+    """A band of this grid would have 20 blocks for every body."""
+    number = np.arange(400).reshape(20, 20)
+    across = np.stack([number[:, 1:].reshape(-1), number[:, :-1].reshape(-1)])
+    up = np.stack([number[1:].reshape(-1), number[:-1].reshape(-1)])
+    matrix = BlockMatrix(400, np.concatenate([across, up], 1))
+    assert len(matrix.data) < 400 + 2 * 400 * 10
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_what_has_no_answer_has_none(count: int) -> None:
+    matrix = BlockMatrix(count, np.zeros((2, 0), np.int64))
+    matrix.data[:] = 0.0
+    assert matrix.solve(np.ones((count, 6))) is None
+    matrix.data[:count] = np.eye(6)
+    assert matrix.solve(np.ones((count, 6))) == pytest.approx(np.ones((count, 6)))
