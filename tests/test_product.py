@@ -100,6 +100,7 @@ LEARNS = {
     "measure-goals": [],
     "measure-sensing": [],
     "measure-structures": [],
+    "measure-two-arms": [],
     "replay": ["transitions.jsonl"],
     "table": ["T1"],
     "tasks": [],

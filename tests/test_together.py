@@ -1,6 +1,5 @@
 """Two arms that share a site: who may move, builds of both, and what is told of these."""
 
-# pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
 import contextlib
@@ -11,12 +10,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
 
 import learn2assemble as l2a
 from l2a_lab.shapes import wall
+from l2a_lab.two_arms import Watched
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.pair import BESIDE, HAND, Pair, gather, lower_beside
 from learn2assemble.cell.site import Site
@@ -38,7 +37,6 @@ from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.capsules import capsules_of, in_hand, solid_capsules
 from learn2assemble.robot.sweeps import clear, still, sweep
 from learn2assemble.simulation.model import Failure
-from learn2assemble.simulation.plant import DynamicPlant
 from learn2assemble.viewer.playback import Playback
 
 LEFT = get_arm("ur5e", "suction", (-0.42, 0.0, 0.0, 0.0))
@@ -203,33 +201,6 @@ def test_an_arm_off_its_course_whose_way_is_never_free_says_so() -> None:
 
 
 # ---------------------------------------------------------------- builds
-
-
-class Watched(DynamicPlant):
-    """A cell whose arms' distance MuJoCo measures, from one solid to the other."""
-
-    least = np.inf
-    looks = 0
-
-    def _advance(self, moving: frozenset[int]) -> None:
-        super()._advance(moving)
-        state = self.simulated
-        if state.steps % 50:
-            return
-        m, d, world = state.model, mujoco.MjData(state.model), state.world
-        d.qpos[:] = state.data.qpos
-        mujoco.mj_kinematics(m, d)
-        solid = (m.geom_contype | m.geom_conaffinity) > 0
-        one, two = (np.flatnonzero(solid & np.isin(world.kind, p.kinds)) for p in world.arms)
-        far = (
-            np.linalg.norm(d.geom_xpos[one][:, None] - d.geom_xpos[two], axis=2)
-            - m.geom_rbound[one][:, None]
-            - m.geom_rbound[two]
-        )
-        for a, b in np.argwhere(far < 0.1).tolist():
-            gap = mujoco.mj_geomDistance(m, d, int(one[a]), int(two[b]), 0.1, None)
-            self.least = min(self.least, gap)
-        self.looks += 1
 
 
 def design(x: int, y: int, z: int) -> Plan:

@@ -435,6 +435,12 @@ _COMMANDS = {
         "measure builds by an arm: large ones, with noise, with faults",
         "l2a-lab measure-builds --only noise/ --workers 2",
     ),
+    "measure-two-arms": _figures(
+        "two_arms",
+        "how much sooner two arms build than one",
+        "measure builds by two arms together beside those by each alone",
+        "l2a-lab measure-two-arms --only pyramid",
+    ),
     "measure-designs": _figures(
         "designs",
         "figures of the exact planner and the check",

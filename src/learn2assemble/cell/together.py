@@ -80,6 +80,7 @@ def build_together(
     *,
     joint: float = 1e-4,
     progress: Progress = lambda text: None,
+    opened: Callable[[Setup], Any] | None = None,
 ) -> Plan:
     """A complete plan of dry blocks, carried out by two arms in one simulated cell.
 
@@ -87,12 +88,13 @@ def build_together(
         members: the arms, see :func:`~.team.set_up_team`.
         workcell: how they build.
         joint: width of a vertical joint [m].
+        opened: see :class:`Together`; by default the simulated cell.
 
     Raises:
         InputError: as :func:`gather`.
     """
     started = time.perf_counter()
-    both = Together(gather(plan, members, workcell, joint), simulated)
+    both = Together(gather(plan, members, workcell, joint), opened or simulated)
     reason = both.run(progress)
     took = time.perf_counter() - started
     turns = sorted(both.turns, key=lambda turn: turn.end)
