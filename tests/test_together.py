@@ -15,7 +15,7 @@ import pytest
 
 import learn2assemble as l2a
 from l2a_lab.shapes import wall
-from l2a_lab.two_arms import Watched
+from l2a_lab.two_arms import Watched, names, summary
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.pair import BESIDE, HAND, Pair, gather, lower_beside
 from learn2assemble.cell.site import Site
@@ -30,6 +30,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.motion.merged import merged
 from learn2assemble.motion.plant import Guard, Motion, PlantError, Report, Stop, standing
 from learn2assemble.motion.record import find_fault
+from learn2assemble.motion.setup import Noise
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.robot.arm import Arm, get_arm
@@ -210,21 +211,21 @@ def design(x: int, y: int, z: int) -> Plan:
     return plan
 
 
-def crew_for(plan: Plan) -> Pair:
+def crew_for(plan: Plan, workcell: Workcell) -> Pair:
     assert plan.assembly is not None
     members = set_up_team(plan.assembly, SITE_ARMS, Site())
-    return gather(plan, members, Workcell("ur5e"), KIT.joint_gap)
+    return gather(plan, members, workcell, KIT.joint_gap)
 
 
 @pytest.fixture(scope="module")
 def crew() -> Pair:
-    return crew_for(design(10, 2, 3))
+    return crew_for(design(10, 2, 3), Workcell("ur5e"))
 
 
 @pytest.mark.parametrize(("size", "count"), [((10, 2, 3), 10), ((16, 2, 5), 22)])
 def test_the_other_arm_is_gone_around_not_over(size: tuple[int, int, int], count: int) -> None:
     """Ways above its base would be so high that places at the ends of a wall are out of reach."""
-    for found in crew_for(design(*size)).found:
+    for found in crew_for(design(*size), Workcell("ur5e")).found:
         assert (len(found.order.steps), found.order.stuck) == (count, {})
 
 
@@ -289,6 +290,22 @@ def test_two_arms_build_together(crew: Pair) -> None:
         assert record.spans()[-1][1] <= both.seconds + 0.1
 
 
+def test_two_arms_build_where_readings_are_not_exact() -> None:
+    """It takes time to see a block that is presented, and both want the same one."""
+    noise = Noise(5e-4, np.radians(0.2), 5e-4, missing=0.02)
+    found = crew_for(design(10, 2, 3), Workcell("ur5e", noise=noise, seed=1))
+    both = Together(found, Watched)
+    announced = counted(both.traffic)
+    assert both.run() is None
+    assert {turn.arm for turn in both.turns} == {0, 1}
+    # Where the other arm's block will stand is not known before it does.
+    assert not any(announced)
+    assert both.plant.least >= 0.010
+    truth = both.plant.truth()
+    for piece in found.found[0].job.pieces:
+        assert np.linalg.norm(truth[piece.id][:3] - piece.pose[:3]) < 2e-3
+
+
 def test_an_arm_that_is_stopped_leaves_the_other_one_safe(crew: Pair) -> None:
     """The first arm stops on its way across: it stands there, with what it holds, and the other one
     keeps its distance and does not place that block."""
@@ -316,6 +333,26 @@ def test_an_arm_that_is_stopped_leaves_the_other_one_safe(crew: Pair) -> None:
     # It hangs in the air: where it waits its middle is half of its height above the table.
     piece = crew.found[0].job.pieces[min(both.lost)]
     assert both.plant.truth()[held][2] > piece.half.min() + 0.02
+
+
+def test_two_arms_are_measured_beside_the_faster_one() -> None:
+    def one(seconds: float, least: float | None) -> dict[str, Any]:
+        told = {"status": "complete", "reason": None, "blocks": 5, "robot_s": seconds}
+        return told | {"least_distance": least}
+
+    entries = {
+        **{"a/ur5e": one(30.0, None), "a/panda": one(20.0, None), "a/both": one(15.0, 0.0234)},
+        **{"b/ur5e": one(40.0, None), "b/panda": one(50.0, None), "b/both": one(10.0, None)},
+        "c/ur5e": one(10.0, None) | {"status": "incomplete", "reason": "why"},
+    }
+    rows = {what: got for what, _, got in summary(entries)}
+    assert rows == {
+        "a": "5 blocks: 15.0 s over 20.0 s, 0.75, 23 mm apart at least",
+        "b": "5 blocks: 10.0 s over 40.0 s, 0.25, 100 mm apart at least",
+        "c": "incomplete (why)",
+        "two arms over one": "0.50 mean",
+    }
+    assert {name.split("/")[1] for name in names()} == {"ur5e", "panda", "both"}
 
 
 # ---------------------------------------------------------------- from the outside

@@ -172,6 +172,9 @@ class Together(Generic[Cell]):
         lean."""
         self.moves = [0, 0]
         """The piece that each arm moves, or was the last to."""
+        self.picks: list[int | None] = [None, None]
+        """The piece of the attempt that each arm begins, before it says so: where readings are not
+        exact, it takes time to see what a magazine presents."""
         self.lost: set[int] = set()
         """Blocks that an arm moved when its plant ended that."""
         self.working = [True, True]
@@ -254,7 +257,11 @@ class Together(Generic[Cell]):
         if self.assumes[who]:
             before[self.moves[1 - who]] = STOCK
         building.stood = self._stood(who, begin)
-        acted = building.act(action)
+        self.picks[who] = action.block
+        try:
+            acted = building.act(action)
+        finally:
+            self.picks[who] = None
         self.traffic.over(who, acted and building.world.state[self.moves[who]] == STANDING)
         if not acted:
             return False
@@ -274,6 +281,9 @@ class Together(Generic[Cell]):
         building, known, first = self.buildings[who], self.buildings[who].known, self.moves[1 - who]
         route, world, tried = self.traffic.other(who).route, building.world, self.behind[who]
         if route is None or first in self.lost or world.state[first] != STOCK:
+            return False
+        if world.spread.any():
+            # Where it is to stand is not exactly where it will.
             return False
         hidden, kept = world.pose[first].copy(), (known.postponed, known.refused)
 
@@ -351,10 +361,12 @@ class Together(Generic[Cell]):
         building.plant.execute(standing("home", building.joints, LOOK_AGAIN))
 
     def _elsewhere(self, who: int) -> set[int]:
-        """The block that the other arm moves, and what an arm that was stopped has left."""
-        if self.traffic.other(who).route is None:
-            return self.lost
-        return self.lost | {self.moves[1 - who]}
+        """The block that the other arm moves or has chosen, and what an arm that was stopped has
+        left."""
+        found, chosen = set(self.lost), self.picks[1 - who]
+        if self.traffic.other(who).route is not None:
+            found.add(self.moves[1 - who])
+        return found if chosen is None else found | {chosen}
 
     def _later(self, who: int) -> set[int]:
         """Blocks beside which lower ones are still to come."""
