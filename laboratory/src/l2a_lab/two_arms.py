@@ -99,11 +99,8 @@ def _together(plan: Plan, kit: Kit) -> tuple[Plan, Result]:
 
     members = set_up_team(plan.assembly, [SiteArm(arm, arm) for arm in ARMS], Site())
     done = build_together(plan, members, Workcell(ARMS[0]), joint=kit.joint_gap, opened=opened)
-    did = [arm.did for arm in done.arms if arm.did is not None]
     return done, {
         "robot_s": done.robot_s,
-        "attempts": [one.attempts for one in did],
-        "error_worst": max((one.error_worst or 0.0 for one in did), default=None),
         "least_distance": round(cells[0].least, 5) if math.isfinite(cells[0].least) else None,
         "looks": cells[0].looks,
     }
