@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numba import njit
 
 import learn2assemble as l2a
 from learn2assemble import linear_programs
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cli import output
+from learn2assemble.compiling import compiling_seconds
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.progress import Detail
@@ -30,6 +32,17 @@ def test_details_are_told_not_too_often_with_the_time_that_is_left() -> None:
         clock.tell(f"{second} steps")
     assert told == ["2 steps, at most 58 s left", "4 steps, at most 56 s left"]
     assert [line.what for line in told] == ["2 steps", "4 steps"]
+
+
+def test_compiling_uses_no_time_of_a_limit() -> None:
+    """The first plan on a fresh machine compiles for longer than it plans."""
+    started, before = time.monotonic(), compiling_seconds(time.monotonic)
+    clock, still = Clock(60.0), Clock(60.0, timer=lambda: 0.0)
+    assert njit(lambda x: x + 1.0)(2.0) == 3.0
+    spent, compiled = clock.spent, compiling_seconds(time.monotonic) - before
+    assert compiled > 0.0
+    assert 0.0 <= spent <= time.monotonic() - started - compiled
+    assert still.spent == 0.0
 
 
 def told_of(monkeypatch: pytest.MonkeyPatch, wanted: np.ndarray, **options: object) -> list[str]:

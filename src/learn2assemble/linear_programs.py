@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import highspy
 import numpy as np
 
+from learn2assemble.compiling import compiling_seconds
 from learn2assemble.errors import Learn2AssembleError
 from learn2assemble.progress import EVERY, Detail, Progress, silent
 
@@ -251,7 +252,7 @@ def _run(solver: highspy.Highs, seconds: float, mixed: bool) -> Answer | None:
 
 
 class Clock:
-    """How much of a limit of seconds is left.
+    """How much of a limit of seconds is left. Time in which kernels are compiled does not count.
 
     Args:
         timer: that tells the seconds: of a clock, or of the processor.
@@ -266,6 +267,7 @@ class Clock:
     ) -> None:
         self.limit, self.timer, self.progress = float(seconds), timer, progress
         self._start = self._told = timer()
+        self._compiling = compiling_seconds(timer)
 
     def tell(self, what: str) -> None:
         """Say how far a phase has come and what time is left, but not too often."""
@@ -277,7 +279,8 @@ class Clock:
     @property
     def spent(self) -> float:
         """Seconds since the start."""
-        return self.timer() - self._start
+        compiling = compiling_seconds(self.timer) - self._compiling
+        return self.timer() - self._start - compiling
 
     @property
     def left(self) -> float:

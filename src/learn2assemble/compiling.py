@@ -1,0 +1,61 @@
+"""Time in which kernels are compiled: once on a machine, and no part of what a limit is for.
+
+The first plan on a fresh machine compiles for up to a minute. Counted, that would use up the limit
+of a search that takes a second, and the answer would be that time ran out.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import lru_cache
+
+
+class _Compiling:
+    """The seconds that kernels took to be compiled so far, by each timer.
+
+    Compilers of numba call one another: the time of the outermost one is taken.
+    """
+
+    def __init__(self) -> None:
+        self.spent = {time.monotonic: 0.0, time.process_time: 0.0}
+        self._began = dict(self.spent)
+        self._depth = 0
+
+    def begin(self) -> None:
+        if self._depth == 0:
+            self._began = {timer: timer() for timer in self.spent}
+        self._depth += 1
+
+    def end(self) -> None:
+        self._depth -= 1
+        if self._depth == 0:
+            for timer, began in self._began.items():
+                self.spent[timer] += timer() - began
+
+
+def compiling_seconds(timer: Callable[[], float]) -> float:
+    """Seconds of compiling since this was first called.
+
+    Args:
+        timer: by which they are measured, ``time.monotonic`` or ``time.process_time``; by any
+            other one no time passes.
+    """
+    return _watched().spent.get(timer, 0.0)
+
+
+@lru_cache(maxsize=1)
+def _watched() -> _Compiling:
+    from numba.core import event  # no library is loaded before one is needed
+
+    compiling = _Compiling()
+
+    class Listener(event.Listener):
+        def on_start(self, event: event.Event) -> None:
+            compiling.begin()
+
+        def on_end(self, event: event.Event) -> None:
+            compiling.end()
+
+    event.register("numba:compile", Listener())
+    return compiling
