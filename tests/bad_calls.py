@@ -935,6 +935,16 @@ BAD = [
         "part of the name",
     ),
     BadCall(
+        "figures of two arms over a design",
+        ["measure-two-arms", "--out", "{d}/design.json"],
+        "a new file, or a result of this command",
+    ),
+    BadCall(
+        "figures of two arms that are not there",
+        ["measure-two-arms", "--out", "{d}/new.json", "--only", "nosuch"],
+        "part of the name",
+    ),
+    BadCall(
         "measured designs into another file",
         ["measure-designs", "--out", "{d}/design.json"],
         "a new file",
