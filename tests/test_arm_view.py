@@ -23,7 +23,7 @@ from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.record import BuildRecord, Stage
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot import shape as shapes
-from learn2assemble.robot.arm import arm_model, get_arm
+from learn2assemble.robot.arm import arm_model, arms_spec, get_arm
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.shape import Mesh, arm_shape, box, capsule, shaded
 from learn2assemble.viewer import words as arm_words
@@ -115,6 +115,15 @@ def test_parts_stand_where_the_model_has_them(name: str) -> None:
                 drawn = drawn @ rotation[part.frame].T + position[part.frame]
             for end in (np.min, np.max):
                 np.testing.assert_allclose(end(drawn, 0), end(points, 0), atol=3e-6)
+
+
+def test_arms_in_one_model_keep_their_own_meshes() -> None:
+    # Both have a mesh of a black finger; MuJoCo tells files of a model apart by their names.
+    arms = [get_arm(name) for name in ("panda", "ur5e")]
+    both = arms_spec(arms, pictures=True).compile()
+    alone = [arm_model(arm, pictures=True) for arm in arms]
+    parts = [model.mesh_vert for model in alone]
+    np.testing.assert_array_equal(both.mesh_vert, np.concatenate(parts))
 
 
 def test_an_arm_without_pictures_is_drawn_by_its_solids(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -32,6 +33,8 @@ from learn2assemble.robot.tool import (
 
 SWING = 0.02
 """A curve through poses swings out between them by less [rad]; 0.007 was seen."""
+MESHES = "meshes.zip"
+"""Beside an MJCF, the mesh files of its pictures; those that are not in it are read beside it."""
 FARTHEST = 20.0
 """Bases stand no farther away than this [m]."""
 
@@ -47,6 +50,11 @@ def read_spec(mjcf: Path, position: np.ndarray, yaw: float, pictures: bool) -> m
             without them.
     """
     spec = mujoco.MjSpec.from_file(str(mjcf))
+    if pictures and (meshes := mjcf.parent / MESHES).is_file():
+        with zipfile.ZipFile(meshes) as packed:
+            # MuJoCo looks there before it looks beside the MJCF. Models of several arms share
+            # these names, so they begin with the name of the arm.
+            spec.assets = {name: packed.read(name) for name in packed.namelist()}
     turn = yaw_quaternion(yaw)
     for body in spec.worldbody.bodies:
         moved, turned, rotated = np.empty(3), np.empty(4), np.empty(3)
