@@ -79,8 +79,7 @@ def table(*words: str) -> list[str]:
         "table",
         *words,
         *([] if "--agents" in words or "--train" in words else ["--from-files"]),
-        "--out",
-        "{d}/new",
+        *([] if "--out" in words else ["--out", "{d}/new"]),
     ]
 
 
@@ -319,6 +318,11 @@ def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> No
     (folder / "special" / "link").symlink_to(folder / "file.txt")
     (folder / "special" / "nowhere").symlink_to(folder / "nosuch.txt")
     os.mkfifo(folder / "special" / "pipe")
+    for name in ("linked", "page", "figures"):
+        (folder / "special" / name).mkdir()
+    (folder / "special" / "linked" / "tables.md").symlink_to(folder / "file.txt")
+    (folder / "special" / "page" / "tables.md").write_text("# Mine\n")
+    (folder / "special" / "figures" / "tables.csv").write_text("a,b\n1,2\n")
     shutil.copytree(run, folder / "linked")
     (folder / "linked" / "extra.txt").symlink_to(folder / "file.txt")
     (folder / "full").mkdir()
@@ -427,7 +431,7 @@ BAD = [
         ["measure-builds", "--out", "{d}/special/link"],
         "not a symbolic link",
     ),
-    BadCall("table into a link", table("T1", "--into", "{d}/special/link"), "not a symbolic link"),
+    BadCall("table into a link", table("T1", "--out", "{d}/special/linked"), "not a symbolic link"),
     # build
     BadCall("check nothing", ["check"], "FILE"),
     BadCall("check a missing file", ["check", "{d}/nosuch.json"], "nosuch.json"),
@@ -794,9 +798,15 @@ BAD = [
     BadCall("table of missing agents", table("T1", "--agents", "{d}/nosuch"), "no such file"),
     BadCall("table trained and not", table("T1", "--train", "--from-files"), "not allowed with"),
     BadCall(
-        "table into a page without marks", table("T1", "--into", "{d}/file.txt"), "table T1: begin"
+        "table into another page",
+        table("T1", "--out", "{d}/special/page"),
+        "a page of this command",
     ),
-    BadCall("table into no page", table("T1", "--into", "{d}/nosuch.md"), "no such file"),
+    BadCall(
+        "table into other figures",
+        table("T1", "--out", "{d}/special/figures"),
+        "figures of this command",
+    ),
     BadCall("no curves", ["curves"], "NAME"),
     BadCall("misspelt curves", curves("algoritms"), "did you mean 'algorithms'"),
     BadCall(
@@ -1001,7 +1011,6 @@ BAD = [
             ["replay", ""],
             ["replay-trajectory", "--arm", "panda", ""],
             ["table", "T1", "--from-files", "--out", ""],
-            ["table", "T1", "--into", ""],
             ["curves", "algorithms", "--runs", ""],
             ["measure-goals", "--out", ""],
         )
@@ -1087,7 +1096,6 @@ BAD = [
             "file of runs": curves("algorithms", "--runs", "{d}/rusn.jsonl.gz"),
             "folder of agents": table("T1", "--agents", "{d}/agnet"),
             "folder of examples": ["measure-builder", "--out", "{d}/new", "--examples", "{d}/rnu"],
-            "page for --into": table("T1", "--into", "{d}/flie.txt"),
             "layout file": exact_arm("--layout", "{d}/layuot.json"),
             "kit file": ["build", "{d}/design.json", "--out", "{d}/new", "--kit", "{d}/kti.toml"],
         }.items()

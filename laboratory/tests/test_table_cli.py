@@ -22,7 +22,6 @@ from l2a_lab.curves import (
     time_to,
     timed_names,
 )
-from l2a_lab.numbers import load_table
 from l2a_lab.recipes import (
     RECIPES,
     Recipe,
@@ -31,10 +30,10 @@ from l2a_lab.recipes import (
     stage_folder,
     train_recipes,
 )
-from l2a_lab.report import QUICK, compact_markdown
+from l2a_lab.report import QUICK
 from l2a_lab.runs import keep_runs, read_runs, runs_in
-from l2a_lab.table_command import _around
-from l2a_lab.tables import TABLES, get_table
+from l2a_lab.tables import TABLES
+from l2a_lab.tables_page import read_tables
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.tasks.networks.agent import agent_files, load_agent
@@ -109,9 +108,7 @@ def test_a_table_is_measured_once(
     assert states[NAME, "absent"] == "not trained"
     assert states[NAME, "played elsewhere"] == "not available"
     page = Path(first["files"]["markdown"])
-    picture = Path(first["files"]["picture"])
-    assert page == tmp_path / "out" / "tables" / "small.md"
-    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert page == tmp_path / "out" / "tables.md"
     before = page.read_bytes()
     second, _ = l2a(capsys, *words)
     assert second["measured"] == 0
@@ -139,33 +136,23 @@ def test_a_quick_look_says_so_and_stays_apart(
 
 
 @pytest.mark.usefixtures("small")
-def test_a_page_carries_the_main_numbers(
+def test_a_table_replaces_its_own_part_of_the_files(
     agents: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    begin, end = "<!-- table small: begin -->", "<!-- table small: end -->"
-    page = tmp_path / "page.md"
-    page.write_text(f"before\n{begin}\nold\n{end}\nafter\n")
-    words = [
-        "table",
-        "small",
-        "--agents",
-        agents,
-        "--out",
-        tmp_path / "out",
-        "--episodes",
-        1,
-        "--workers",
-        1,
-        "--into",
-        page,
-    ]
+    out = tmp_path / "out"
+    words = ["table", "small", "--agents", agents, "--out", out, "--episodes", 1, "--workers", 1]
     l2a(capsys, *words)
-    text = page.read_text()
-    assert text.startswith(f"before\n{begin}\n| task |")
-    assert text.endswith(f"{end}\nafter\n")
-    assert "old" not in text
+    before = [(out / name).read_text() for name in ("tables.md", "tables.csv")]
+    result, _ = l2a(capsys, "table", "T1", "--from-files", "--out", out)
+    page, figures = (Path(result["files"][kind]) for kind in ("markdown", "csv"))
+    assert (page, figures) == (out / "tables.md", out / "tables.csv")
+    chapters, rows = read_tables(out)
+    assert list(chapters) == list(rows) == ["T1", "small"], "in the order of all tables"
+    assert before[0].partition("<!-- table small -->")[2] in page.read_text()
+    assert before[1].partition("\n")[2] in figures.read_text()
+    after = page.read_bytes(), figures.read_bytes()
     l2a(capsys, *words)
-    assert page.read_text() == text
+    assert (page.read_bytes(), figures.read_bytes()) == after
 
 
 @pytest.mark.usefixtures("small")
@@ -192,12 +179,6 @@ def test_training_the_agents_of_a_table(tmp_path: Path, capsys: pytest.CaptureFi
     second, _ = l2a(capsys, *words)
     assert second["measured"] == 0
     assert bare_weights(tmp_path / "runs" / "tiny-s1" / "agent.safetensors") == weights
-
-
-def test_the_table_of_the_documents_is_generated() -> None:
-    page, table = ROOT / "docs" / "results.md", get_table("shipped")
-    text = compact_markdown(load_table(table, ROOT / "results")).join(_around(page, table))
-    assert text == page.read_text(encoding="utf-8")
 
 
 # Recipes.

@@ -44,9 +44,22 @@ from l2a_lab.numbers import (
     student,
 )
 from l2a_lab.recipes import RECIPES
-from l2a_lab.report import QUICK, against_paper, below_paper, compact_markdown, fails_more, markdown
+from l2a_lab.report import (
+    BETTER,
+    FIGURES,
+    LEVEL,
+    QUICK,
+    WORSE,
+    against_paper,
+    failures_beside,
+    lines,
+    markdown,
+    return_beside,
+    sections,
+)
 from l2a_lab.table import LOOK_AHEAD, RANDOM, UNTRAINED, Column, Condition, Row, Table
 from l2a_lab.tables import BUILDER, SHIPPED, TABLES, get_table
+from l2a_lab.tables_page import figures_of, page_of, read_tables
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.tasks.evaluation.episodes import (
     episode_generators,
@@ -545,14 +558,15 @@ def summary(R: float, f: float, episodes: int = 100) -> Summary:
 
 
 def test_marks() -> None:
-    assert below_paper(PAPER_CELL, summary(2.89, 0))
-    assert not below_paper(PAPER_CELL, summary(2.91, 0))
-    assert not below_paper(None, summary(0, 0))
+    """Better by more than both intervals, worse than the paper's alone."""
+    returns = {2.89: WORSE, 2.91: LEVEL, 3.19: LEVEL, 3.21: BETTER}
+    assert {R: return_beside(PAPER_CELL, summary(R, 0)) for R in returns} == returns
+    assert return_beside(None, summary(0, 0)) == failures_beside(None, summary(0, 0)) == ""
     # 1.96 * sqrt(0.2 * 0.8 / 500 + 0.3 * 0.7 / 100) = 0.0964; 0.3 at 1000 episodes: 0.0452.
-    assert not fails_more(PAPER_CELL, summary(3, 0.29))
-    assert fails_more(PAPER_CELL, summary(3, 0.3))
-    assert not fails_more(PAPER_CELL, summary(3, 0.24, 1000))
-    assert fails_more(PAPER_CELL, summary(3, 0.25, 1000))
+    failures = {(0.29, 100): LEVEL, (0.3, 100): WORSE, (0.24, 1000): LEVEL, (0.25, 1000): WORSE}
+    failures |= {(0.13, 100): LEVEL, (0.12, 100): BETTER, (0.15, 1000): BETTER}
+    found = {(f, n): failures_beside(PAPER_CELL, summary(3, f, n)) for f, n in failures}
+    assert found == failures
 
 
 def test_ours_stands_against_the_published_rows_with_or_without_a_search() -> None:
@@ -605,44 +619,58 @@ def test_text_depends_on_the_numbers_alone(tmp_path: Path) -> None:
         other.write_text(json.dumps(data))
     a, b = (load_table(SMALL, tmp_path / name) for name in "ab")
     assert markdown(a) == markdown(b)
-    assert compact_markdown(a) == compact_markdown(b)
+    assert lines(a) == lines(b)
     page = markdown(a)
-    assert (
-        "| plain | 2 | 3.21 ± 0.05 | 7.93 | 0.16 | 2.25 ± 6.35 (0.63) ▼ | 4.00 | 0.00 | 0.25 |"
-        in page
-    )
+    assert "| plain | 2 | 3.21 ± 0.05 | 2.25 ± 6.35 (0.63) 🔴 | 0.16 | 0.25 🟡 | 0.75 |" in page
     assert "| absent | not trained |" in page
     assert "| look-ahead (knows outcomes) | not measured |" in page
     assert "68.4 %" in page
     assert "over agents" in page
     assert QUICK not in page
     assert QUICK in markdown(load_table(SMALL, tmp_path / "a", quick=True))
-    columns = {line.count("|") for line in page.splitlines() if "|" in line}
-    assert len(columns) == 1
+    assert all(len(section.columns) <= 8 for section in sections(a))
+    for section in sections(a):
+        assert {len(row) for row in section.rows} == {len(section.columns)}
+
+
+def test_all_figures_are_lines(tmp_path: Path) -> None:
+    """Each number by the name of its column, the published ones where they compare only."""
+    filled(tmp_path)
+    data = load_table(SMALL, tmp_path)
+    found = [dict(zip(FIGURES, line, strict=True)) for line in lines(data)]
+    assert len(found) == 4 * 2, "the rows of this column, at two conditions"
+    noisy, clean = (line for line in found if line["method"] == "plain")
+    assert (noisy["epsilon"], noisy["R"], noisy["paper_R"], noisy["of_bound"]) == (
+        *("0.05", "2.25", "3.21"),
+        "",
+    )
+    assert (clean["epsilon"], clean["R"], clean["paper_R"]) == ("0", "3.25", "")
+    assert float(clean["of_bound"]) == pytest.approx(3.25 / 4.75, rel=1e-5)
+    assert {line["state"] for line in found if line["method"] == "absent"} == {"not trained"}
 
 
 def test_marks_of_single_agents(tmp_path: Path) -> None:
     fake(tmp_path, Cell(TASK, "agent", "tiny-s0", None, 0.05), [3.0, 3.2] * 20, [0, 1] * 20)
     page = markdown(load_table(SMALL, tmp_path))
-    assert "3.10 ± 0.03° ▼" in page
-    assert "0.50 ▲" in page
+    assert "3.10 ± 0.03° 🔴" in page
+    assert "0.50 🔴" in page
 
 
 # The committed tables.
 
 
-def committed() -> list[str]:
-    return sorted(file.stem for file in (ROOT / "results" / "tables").glob("*.md"))
-
-
-def test_tables_are_committed() -> None:
-    assert "shipped" in committed()
-
-
-@pytest.mark.parametrize("name", committed())
+@pytest.mark.parametrize("name", TABLES)
 def test_committed_tables_are_generated(name: str) -> None:
-    text = (ROOT / "results" / "tables" / f"{name}.md").read_text(encoding="utf-8")
-    assert markdown(load_table(get_table(name), ROOT / "results")) == text
+    chapters, rows = read_tables(ROOT / "results")
+    data = load_table(get_table(name), ROOT / "results")
+    assert chapters[name].strip() == markdown(data).strip()
+    assert rows[name] == lines(data)
+
+
+def test_committed_pages_hold_nothing_else() -> None:
+    chapters, rows = read_tables(ROOT / "results")
+    assert (ROOT / "results" / "tables.md").read_text(encoding="utf-8") == page_of(chapters)
+    assert (ROOT / "results" / "tables.csv").read_text(encoding="utf-8") == figures_of(rows)
 
 
 def committed_cells() -> list[Path]:

@@ -1,23 +1,19 @@
-"""Curves and tables drawn into pictures."""
+"""Curves drawn into pictures."""
 
 from __future__ import annotations
 
-import textwrap
 import warnings
 from collections.abc import Sequence
 from io import BytesIO
 from itertools import cycle
 from pathlib import Path
-from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from l2a_lab.curves import LEARNING, LearningCurve
-from l2a_lab.report import TableSection
 from learn2assemble.files import write_file
 from learn2assemble.viewer.picture import ACCENT, INK, LINE, PAPER, SOFT
 
@@ -125,116 +121,6 @@ def _panel(axes: Axes, quantity: str, lines: Sequence[LearningCurve]) -> None:
 
 def _thousands(value: float, _position: int | None = None) -> str:
     return f"{value / 1000:g}k" if value >= 1000 else f"{value:g}"
-
-
-_TABLE_DPI = 120
-
-
-_SIDE, _ROW, _HEAD, _GAP, _LINE = 0.35, 0.27, 0.62, 0.42, 0.19
-"""Border, height of a row, of a section's head, space between sections, line of notes [inch]."""
-
-
-_LETTER, _PAD = 0.083, 0.16
-"""Width of a letter and space beside a column [inch] at the size of the numbers."""
-
-
-_SIZE = 9.5
-
-
-_TINTS = {"own": "#e3f1f2", "reference": "#f1eee7"}
-"""Background of rows by kind; published methods have none."""
-
-
-def write_table(
-    title: str, blocks: Sequence[TableSection], notes: Sequence[str], path: Path
-) -> None:
-    """Draw sections below each other, with notes at the foot, into a PNG.
-
-    Raises:
-        InputError: where ``path`` cannot be written.
-    """
-    widths = _widths(blocks)
-    width = max(sum(widths) + 2 * _SIDE, 8.0)
-    words = [line for note in notes for line in _wrap(note, width - 2 * _SIDE)]
-    heights = [_HEAD + 0.3 + _ROW * len(block.rows) + _GAP for block in blocks]
-    height = 0.75 + sum(heights) + _LINE * len(words) + 0.25
-    figure = Figure(figsize=(width, height), dpi=_TABLE_DPI, facecolor=PAPER)
-    FigureCanvasAgg(figure)
-    axes = figure.add_axes((0, 0, 1, 1))
-    axes.set_xlim(0, width)
-    axes.set_ylim(height, 0)
-    axes.axis("off")
-    write(axes, _SIDE, 0.42, title, fontsize=15, fontweight="bold")
-    top = 0.75
-    for block, extent in zip(blocks, heights, strict=True):
-        _draw(axes, block, widths, top)
-        top += extent
-    for number, line in enumerate(words):
-        write(axes, _SIDE, top + _LINE * number, line, fontsize=8, color=SOFT)
-    save(figure, path, _TABLE_DPI)
-
-
-def _widths(blocks: Sequence[TableSection]) -> list[float]:
-    """Width of every column [inch], the same in all blocks."""
-    out = []
-    for number in range(len(blocks[0].columns)):
-        cells = [row[number] for block in blocks for row in (block.columns, *block.rows)]
-        out.append(_LETTER * max(map(len, cells)) + 2 * _PAD)
-    start = 0
-    for name, count in blocks[0].groups:
-        short = _LETTER * len(name) + _PAD - sum(out[start : start + count])
-        if short > 0 and count:
-            out[start + count - 1] += short
-        start += count
-    return out
-
-
-def _draw(axes: Axes, block: TableSection, widths: Sequence[float], top: float) -> None:
-    right = [_SIDE + sum(widths[: n + 1]) for n in range(len(widths))]
-    write(axes, _SIDE, top + 0.12, block.title, fontsize=11.5, fontweight="bold", color=ACCENT)
-    start = 0
-    for name, count in block.groups:
-        low, high = right[start] - widths[start] + _PAD, right[start + count - 1] - _PAD / 2
-        if name:
-            write(axes, (low + high) / 2, top + 0.4, name, fontsize=_SIZE, ha="center", color=SOFT)
-            axes.plot([low, high], [top + 0.53] * 2, color=LINE, linewidth=1)
-        start += count
-    head = top + _HEAD + 0.06
-    _line(axes, block.columns, widths, right, head, color=SOFT)
-    axes.plot([_SIDE, right[-1]], [head + 0.17] * 2, color=INK, linewidth=0.9)
-    for number, (row, kind) in enumerate(zip(block.rows, block.kinds, strict=True)):
-        y = head + 0.32 + _ROW * number
-        if kind in _TINTS:
-            box = Rectangle((_SIDE, y - _ROW / 2), right[-1] - _SIDE, _ROW, color=_TINTS[kind])
-            axes.add_patch(box)
-        _line(axes, row, widths, right, y, color=INK)
-    bottom = head + 0.32 + _ROW * (len(block.rows) - 0.5)
-    axes.plot([_SIDE, right[-1]], [bottom] * 2, color=INK, linewidth=0.9)
-
-
-def _line(
-    axes: Axes,
-    cells: Sequence[str],
-    widths: Sequence[float],
-    right: Sequence[float],
-    y: float,
-    color: str,
-) -> None:
-    for number, (cell, edge) in enumerate(zip(cells, right, strict=True)):
-        if number == 0:
-            write(axes, edge - widths[0] + _PAD / 2, y, cell, fontsize=_SIZE, color=color)
-        else:
-            write(axes, edge - _PAD / 2, y, cell, fontsize=_SIZE, ha="right", color=color)
-
-
-def _wrap(text: str, width: float) -> list[str]:
-    return textwrap.wrap(text, max(40, int(width / 0.066))) or [""]
-
-
-def write(axes: Axes, x: float, y: float, words: str, **style: Any) -> None:
-    """Text as it stands: a dollar sign in a design's name is no formula."""
-    style = {"va": "center", "color": INK, **style}
-    axes.text(x, y, words, parse_math=False, **style)
 
 
 def save(figure: Figure, path: Path, dpi: int) -> None:

@@ -6,30 +6,40 @@ The published numbers are in ``published.csv``, typed once from the paper.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import groupby
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from l2a_lab.numbers import EPISODES, Published, Summary, TableData, TableEntry
+from l2a_lab.numbers import EPISODES, NOT_MEASURED, Published, Summary, TableData, TableEntry
 from l2a_lab.table import HELPS, LOOK_AHEAD, MODEL_LABELS, OWN, PAPER_PROTOCOL, Condition
 
-
-def below_paper(paper: Published | None, ours: Summary) -> bool:
-    """R under the paper's 95 % interval."""
-    if paper is None or paper.R is None or paper.R_ci95 is None:
-        return False
-    return paper.R - paper.R_ci95 > ours.R
+BETTER, LEVEL, WORSE = "▲", "=", "▼"
+"""Ours beside a published number: better or worse by more than the intervals, or neither."""
+COLOURS = {BETTER: "🟢", LEVEL: "🟡", WORSE: "🔴"}
+"""The same on a page."""
 
 
-def fails_more(paper: Published | None, ours: Summary) -> bool:
-    """f above the paper's by more than the sampling error of both (95 %)."""
-    return paper is not None and paper.f is not None and ours.f > paper.f + _error(paper.f, ours)
+def return_beside(paper: Published | None, ours: Summary) -> str:
+    """R beside the published one: better by more than both intervals, worse than the paper's
+    interval, or level; empty where there is nothing to compare with."""
+    if paper is None or paper.R is None:
+        return ""
+    width = paper.R_ci95 or 0.0
+    if ours.R - ours.R_ci95 > paper.R + width:
+        return BETTER
+    return WORSE if paper.R_ci95 is not None and paper.R - width > ours.R else LEVEL
 
 
-def _error(f: float, ours: Summary) -> float:
-    variance = f * (1 - f) / EPISODES + ours.f * (1 - ours.f) / ours.episodes
-    return 1.96 * math.sqrt(variance)
+def failures_beside(paper: Published | None, ours: Summary) -> str:
+    """f beside the published one, by more than the sampling error of both (95 %)."""
+    if paper is None or paper.f is None:
+        return ""
+    variance = paper.f * (1 - paper.f) / EPISODES + ours.f * (1 - ours.f) / ours.episodes
+    error = 1.96 * math.sqrt(variance)
+    if ours.f < paper.f - error:
+        return BETTER
+    return WORSE if ours.f > paper.f + error else LEVEL
 
 
 def compared(condition: Condition) -> bool:
@@ -38,118 +48,113 @@ def compared(condition: Condition) -> bool:
 
 
 DASH = "–"
-LOW, HIGH = "▼", "▲"
-"""R below the paper's interval; f above the paper's by more than sampling error."""
 HARD = "†"
 """Where no agent that acts at random at times, without a search, is likely to be better."""
-PAPER = "paper"
 
 
 class TableSection(NamedTuple):
-    """A block of the table, one task or all of them: a head of two lines, then rows of words."""
+    """One task under one condition: a head, then rows of words."""
 
-    title: str
-    groups: list[tuple[str, int]]
-    """Name and number of columns of each group of columns."""
+    task: str
+    """With a star where agents were trained on it."""
+    condition: Condition
     columns: list[str]
     rows: list[list[str]]
-    kinds: list[str]
-    """Kind of every row: ``method``, ``own`` or ``reference``."""
 
 
-BRIEF = ("R", "f", "success", "of bound")
-"""What fits into a terminal."""
+_Text = Callable[[TableEntry], str]
 
 
-class _ShownColumn(NamedTuple):
-    group: str
-    name: str
-    text: Callable[[TableEntry], str]
+def sections(data: TableData) -> list[TableSection]:
+    """What was measured, one section a task and condition, of eight columns at most; everything
+    else is in :func:`lines`."""
+    out: list[TableSection] = []
+    for number, line in enumerate(zip(*data.entries, strict=True)):
+        entries = [entry for entry in line if entry.row.played_in(number)]
+        for condition in data.table.conditions:
+            columns = _columns(data, condition, entries)
+            rows = [[text(entry) for text in columns.values()] for entry in entries]
+            out.append(TableSection(entries[0].title, condition, list(columns), rows))
+    return out
 
 
-def _section(title: str, columns: list[_ShownColumn], entries: list[TableEntry]) -> TableSection:
-    groups = [(name, len(list(of))) for name, of in groupby(column.group for column in columns)]
-    rows = [[column.text(entry) for column in columns] for entry in entries]
-    kinds = [entry.row.kind for entry in entries]
-    return TableSection(title, groups, [column.name for column in columns], rows, kinds)
-
-
-def sections(data: TableData, brief: bool = False) -> list[TableSection]:
-    """Everything that was measured, one section a task; ``brief``: the main numbers."""
-    table, all_entries = data.table, [entry for line in data.entries for entry in line]
-    paper = PAPER if brief else f"{PAPER}, {PAPER_PROTOCOL.label}"
-    columns = [
-        _ShownColumn("", "method", lambda entry: entry.row.name),
-        _ShownColumn("", "agents", _agents),
-    ]
-    columns += [
-        _ShownColumn(paper, name, partial(_paper, name))
-        for name in ("R", "a", "b", "f")
-        if any(e.paper and getattr(e.paper, name) is not None for e in all_entries)
-    ]
-    for condition in table.conditions:
-        ours = condition.label if brief else f"ours, {condition.label}"
-        names = ["R", "− ours", "R'", "a", "b", "f", "success", "of bound"]
-        absent = {
-            "− ours": table.reference is None,
-            "R'": table.other_discount is None,
-            "of bound": condition != Condition(0.0),
-        }
-        columns += [
-            _ShownColumn(ours, name, partial(_ours, condition, name))
-            for name in names
-            if not absent.get(name)
-        ]
-    if brief:
-        columns = [column for column in columns if not column.group or column.name in BRIEF]
-    shown = [
-        [entry for entry in line if entry.row.played_in(n)]
-        for n, line in enumerate(zip(*data.entries, strict=True))
-    ]
-    return [_section(entries[0].title, columns, entries) for entries in shown]
-
-
-def compact(data: TableData) -> TableSection:
-    """The main numbers of all tasks in one section: for a terminal and the README."""
-    columns = [
-        _ShownColumn("", "task", lambda entry: entry.title),
-        _ShownColumn("", "method", lambda entry: entry.row.name),
-        _ShownColumn(
-            f"{PAPER}, {PAPER_PROTOCOL.label}",
-            "R / f",
-            lambda entry: (
-                DASH if entry.paper is None else f"{_two(entry.paper.R)} / {_two(entry.paper.f)}"
-            ),
-        ),
-    ]
-    for condition in data.table.conditions:
-        ours = f"ours, {condition.label}"
-        columns.append(_ShownColumn(ours, "R / f / success", partial(_main, condition)))
-        if condition == Condition(0.0):
-            columns.append(_ShownColumn(ours, "of bound", partial(_ours, condition, "of bound")))
-    entries = [
-        entry
-        for line in zip(*data.entries, strict=True)
-        for entry in line
-        if entry.results or entry.paper
-    ]
-    return _section(data.table.title, columns, entries)
+def _columns(
+    data: TableData, condition: Condition, entries: Sequence[TableEntry]
+) -> dict[str, _Text]:
+    """Names of columns, and what stands in each."""
+    columns: dict[str, _Text] = {"method": lambda entry: entry.row.name, "agents": _agents}
+    beside = compared(condition) and any(entry.paper for entry in entries)
+    if beside:
+        columns["R, paper"] = partial(_paper, "R")
+    columns["R"] = partial(_return, condition)
+    if data.table.reference is not None:
+        columns["R − ours"] = partial(_ours, condition, "difference")
+    if beside:
+        columns["f, paper"] = partial(_paper, "f")
+    columns["f"] = partial(_failures, condition)
+    columns["success"] = partial(_ours, condition, "success")
+    if condition == Condition(0.0):
+        columns["of bound"] = partial(_ours, condition, "share")
+    return columns
 
 
 def markdown(data: TableData) -> str:
-    """The whole table as a page of its own."""
-    lines = [f"# {data.table.name}: {data.table.title}", ""]
+    """The table as a chapter of a page: a condition is shown when a reader opens it, that of
+    the published numbers from the beginning."""
+    out = [f"## {data.table.name}: {data.table.title}", ""]
     if data.quick:
-        lines += [f"**{QUICK}**", ""]
-    for section in sections(data):
-        lines += [f"## {_escape(section.title)}", "", *_markdown_rows(section), ""]
-    return "\n".join([*lines, *[f"* {_escape(note)}" for note in notes(data)], ""])
+        out += [f"**{QUICK}**", ""]
+    for task, group in groupby(sections(data), key=lambda section: section.task):
+        out += [f"### {data.table.name}, {_escape(task)}", ""]
+        for number, section in enumerate(group):
+            shown = " open" if number == 0 else ""
+            words = f"<summary>{section.condition.label}</summary>"
+            out += [f'<details markdown="1"{shown}>{words}', "", *_markdown_rows(section), ""]
+            out += ["</details>", ""]
+    return "\n".join([*out, *[f"* {_escape(note)}" for note in notes(data)], ""])
 
 
-def compact_markdown(data: TableData) -> str:
-    """The main numbers as a table to put into another page."""
-    rows = _markdown_rows(compact(data))
-    return "\n".join([*rows, "", *[f"* {_escape(note)}" for note in notes(data)]])
+FIGURES = (
+    *("table", "task", "trained_on_it", "method", "epsilon", "physics", "state"),
+    *("agents", "problems", "paper_R", "paper_R_ci95", "paper_a", "paper_b", "paper_f"),
+    *("R", "R_ci95", "R_ci95_problems", "difference", "difference_ci95", "R_other_discount"),
+    *("a", "b", "f", "success", "of_bound"),
+)
+"""Columns of :func:`lines`: names of rows and conditions as in :mod:`.table`, numbers as in
+:class:`.numbers.Summary` and :class:`.numbers.Published`."""
+
+
+def lines(data: TableData) -> list[list[str]]:
+    """All figures of a table, one line a task, method and condition, as words in the order of
+    :data:`FIGURES`; empty where there is none."""
+    out: list[list[str]] = []
+    for number, line in enumerate(zip(*data.entries, strict=True)):
+        for entry in (entry for entry in line if entry.row.played_in(number)):
+            for condition in data.table.conditions:
+                out.append([_written(value) for value in _figures(data, entry, condition)])
+    return out
+
+
+def _figures(data: TableData, entry: TableEntry, condition: Condition) -> list[Any]:
+    paper = entry.paper if compared(condition) else None
+    ours = entry.results.get(condition)
+    state = "measured" if ours else entry.state or NOT_MEASURED
+    told = [data.table.name, entry.column.name, entry.column.star, entry.row.name]
+    told += [condition.epsilon, condition.physics, state]
+    published = [None] * 5 if paper is None else [paper.R, paper.R_ci95, paper.a, paper.b, paper.f]
+    if ours is None:
+        return [*told, None, None, *published, *[None] * 11]
+    difference = ours.difference or (None, None)
+    spread = [ours.R, ours.R_ci95, ours.R_ci95_problems, *difference, ours.R_other]
+    shares = [ours.a, ours.b, ours.f, ours.success, ours.share]
+    agents = ours.agents if entry.row.agents else None
+    return [*told, agents, ours.problems, *published, *spread, *shares]
+
+
+def _written(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 QUICK = "A quick look: one agent and few episodes a cell. Not the numbers of record."
@@ -157,19 +162,19 @@ QUICK = "A quick look: one agent and few episodes a cell. Not the numbers of rec
 
 def notes(data: TableData) -> list[str]:
     """What has to be known to read the numbers."""
-    text = "".join(cell for section in sections(data) for row in section.rows for cell in row)
+    shown = sections(data)
     low, high = data.problems
     count = str(low) if low == high else f"{low} to {high}"
     out = [QUICK] if data.quick else []
     out += [
-        "R: mean discounted return; a: actions an episode; b: share that ran out of blocks; f: "
-        "share ended by an invalid action. *: the agents were trained on this task.",
+        "R: mean discounted return; f: share of episodes ended by an invalid action. *: the agents "
+        "were trained on this task.",
         f"Ours: {count} problems, the same for every method, none used in training; of several "
         "agents each plays an equal share. ± is the 95 % interval of R: over agents (Student; with "
         "the bound of the problems of each taken off) and, in brackets, over problems; where a row "
         "has one agent, over problems (marked °). Paper: five agents, 100 episodes each.",
     ]
-    if "%" in text:
+    if any("%" in cell for section in shown for row in section.rows for cell in row):
         out.append(
             "of bound: mean return as a share of the mean upper bound on the return of the same "
             "problems (exact for cubes on one or two sides; for objects a packing bound that knows "
@@ -178,19 +183,19 @@ def notes(data: TableData) -> list[str]:
     if data.table.reference is not None:
         name = data.table.rows[data.table.reference].name
         out.append(
-            f'− ours: R less that of "{name}" on the same problems, ± the 95 % interval of the '
+            f'R − ours: R less that of "{name}" on the same problems, ± the 95 % interval of the '
             "paired differences."
         )
     against = [s for c in data.table.conditions if compared(c) for s in against_paper(data, c)]
     out += against
     if HARD in "".join(against):
         out.append(f"{HARD}: nor is the exact look-ahead, which knows all outcomes, better there.")
-    if data.table.other_discount is not None:
-        out.append(f"R': the same episodes at the discount {data.table.other_discount:g}.")
-    if LOW in text:
-        out.append(f"{LOW}: R below the paper's 95 % interval.")
-    if HIGH in text:
-        out.append(f"{HIGH}: f above the paper's by more than the sampling error of both.")
+    if any("paper" in name for section in shown for name in section.columns):
+        out.append(
+            f"{BETTER} better than the paper: R by more than both intervals, f by more than the "
+            f"sampling error of both; {WORSE} worse: R below the paper's interval, f by more than "
+            f"the sampling error of both; {LEVEL} neither."
+        )
     if any(row.distinct for row in data.table.rows):
         out.append(
             "distinct: the search expands one of several placements that lead to the same "
@@ -254,27 +259,19 @@ def _opponent(
 
 def _lacking(paper: Published, ours: Summary) -> set[str]:
     """Which of R and f is not better than the published one by more than the intervals."""
-    lacking = set[str]()
-    if paper.R is None or ours.R - ours.R_ci95 <= paper.R + (paper.R_ci95 or 0):
-        lacking.add("R")
-    if paper.f is None or ours.f >= paper.f - _error(paper.f, ours):
-        lacking.add("f")
-    return lacking
-
-
-def headings(section: TableSection, between: str) -> list[str]:
-    """Group and name of every column in one."""
-    groups = [name for name, width in section.groups for _ in range(width)]
-    pairs = zip(groups, section.columns, strict=True)
-    return [f"{group}{between}{column}" if group else column for group, column in pairs]
+    found = {"R": return_beside(paper, ours), "f": failures_beside(paper, ours)}
+    return {name for name, word in found.items() if word != BETTER}
 
 
 def _markdown_rows(section: TableSection) -> list[str]:
-    heads = headings(section, ": ")
-    left = 2 if heads[0] == "task" else 1
-    rule = ["---"] * left + ["---:"] * (len(heads) - left)
-    rows = [[_escape(cell) for cell in row] for row in section.rows]
-    return [f"| {' | '.join(line)} |" for line in (heads, rule, *rows)]
+    rule = ["---"] + ["---:"] * (len(section.columns) - 1)
+    rows = [[_coloured(_escape(cell)) for cell in row] for row in section.rows]
+    return [f"| {' | '.join(line)} |" for line in (section.columns, rule, *rows)]
+
+
+def _coloured(text: str) -> str:
+    """With the mark at the end of a cell, if there is one, in its colour."""
+    return text[:-1] + COLOURS[text[-1]] if text[-2:-1] == " " and text[-1] in COLOURS else text
 
 
 def _escape(text: str) -> str:
@@ -293,45 +290,31 @@ def _paper(name: str, entry: TableEntry) -> str:
     return DASH if paper is None else f"{_two(getattr(paper, name))}{more}"
 
 
-def _ours(condition: Condition, name: str, entry: TableEntry) -> str:
+def _return(condition: Condition, entry: TableEntry) -> str:
     ours = entry.results.get(condition)
     if ours is None:
         return DASH
-    low, high = _marks(entry, condition, ours)
-    return {
-        "R": f"{_interval_text(ours)}{low}",
-        "− ours": _difference(ours),
-        "R'": _two(ours.R_other),
-        "a": f"{ours.a:.2f}",
-        "b": _two(ours.b),
-        "f": f"{ours.f:.2f}{high}",
-        "success": _two(ours.success),
-        "of bound": DASH if ours.share is None else f"{100 * ours.share:.1f} %",
-    }[name]
+    more = f" ({ours.R_ci95_problems:.2f})" if ours.over_agents else "°"
+    mark = return_beside(entry.paper, ours) if compared(condition) else ""
+    return f"{ours.R:.2f} ± {ours.R_ci95:.2f}{more} {mark}".rstrip()
 
 
-def _main(condition: Condition, entry: TableEntry) -> str:
+def _failures(condition: Condition, entry: TableEntry) -> str:
     ours = entry.results.get(condition)
     if ours is None:
-        return entry.state or DASH
-    low, high = _marks(entry, condition, ours)
-    return f"{_interval_text(ours)}{low} / {ours.f:.2f}{high} / {ours.success:.2f}"
+        return DASH
+    mark = failures_beside(entry.paper, ours) if compared(condition) else ""
+    return f"{ours.f:.2f} {mark}".rstrip()
 
 
-def _marks(entry: TableEntry, condition: Condition, ours: Summary) -> tuple[str, str]:
-    if not compared(condition):
-        return "", ""
-    low = f" {LOW}" if below_paper(entry.paper, ours) else ""
-    return low, f" {HIGH}" if fails_more(entry.paper, ours) else ""
-
-
-def _interval_text(ours: Summary) -> str:
-    more = f" ({ours.R_ci95_problems:.2f})" if ours.over_agents else "°"
-    return f"{ours.R:.2f} ± {ours.R_ci95:.2f}{more}"
-
-
-def _difference(ours: Summary) -> str:
-    return DASH if ours.difference is None else "{:+.2f} ± {:.2f}".format(*ours.difference)
+def _ours(condition: Condition, name: str, entry: TableEntry) -> str:
+    ours = entry.results.get(condition)
+    value = None if ours is None else getattr(ours, name)
+    if value is None:
+        return DASH
+    if name == "difference":
+        return "{:+.2f} ± {:.2f}".format(*value)
+    return f"{100 * value:.1f} %" if name == "share" else _two(value)
 
 
 def _two(value: float | None) -> str:

@@ -14,12 +14,10 @@ from learn2assemble.cli.parser import (
     workers_arguments,
 )
 from learn2assemble.errors import InputError
-from learn2assemble.files import check_exists, check_output, read_text, write_file
 
 if TYPE_CHECKING:
     from l2a_lab.cell_jobs import CellJob
     from l2a_lab.numbers import TableData
-    from l2a_lab.table import Table
     from learn2assemble.cli.output import Output
 
 
@@ -58,7 +56,6 @@ def table_arguments(parser: argparse.ArgumentParser) -> None:
         "--from-files", action="store_true", help="measure nothing: print what --out holds"
     )
     add("--runs", type=named, default=Path("runs"), help="folder of --train")
-    add("--into", type=named, default=None, help="also put the main numbers into this page")
 
 
 def run_table(options: argparse.Namespace, output: Output) -> None:
@@ -66,15 +63,15 @@ def run_table(options: argparse.Namespace, output: Output) -> None:
     from l2a_lab.cells import find_agents
     from l2a_lab.numbers import load_table
     from l2a_lab.tables import get_table
+    from l2a_lab.tables_page import put_table, read_tables
 
     table = get_table(options.name)
-    page: Path | None = options.into
-    around = ("", "") if page is None else _around(page, table)
     root: Path = options.out / "quick" if options.quick else options.out
     workers: int = options.workers or os.cpu_count() or 1
     most = 1 if options.quick else None
     agents = {} if options.train or options.from_files else find_agents(options.agents)
     prepare(root)
+    read_tables(root)  # What cannot be written is told before hours of work.
     if options.quick:
         output.progress(report.QUICK)
     if options.train:
@@ -100,10 +97,7 @@ def run_table(options: argparse.Namespace, output: Output) -> None:
         output.progress(f"{len(jobs)} cells, {len(todo)} to measure{_words(todo, workers)}")
         _measure(root, todo, options.name, workers, options.ray)
     data = load_table(table, root, options.quick)
-    files = _write(data, root)
-    if page is not None:
-        write_file(page, report.compact_markdown(data).join(around), "--into")
-        files["page"] = page
+    files = put_table(data, root)
     _print(output, data, files)
     output.finish(_summary(data, len(todo), files))
 
@@ -159,34 +153,22 @@ def _measure(root: Path, todo: list[CellJob], name: str, workers: int, ray: str 
     pack(root / "cells")
 
 
-def _write(data: TableData, root: Path) -> dict[str, Path]:
-    from l2a_lab import report
-    from l2a_lab.drawing import write_table
-
-    name, title = data.table.name, data.table.title
-    prepare(root / "tables")
-    files = {
-        kind: root / "tables" / f"{name}{ending}"
-        for kind, ending in (("markdown", ".md"), ("picture", ".png"))
-    }
-    write_file(files["markdown"], report.markdown(data), "--out")
-    title = f"{name}  {title}{'  (quick look)' if data.quick else ''}"
-    write_table(title, report.sections(data), report.notes(data), files["picture"])
-    return files
-
-
 def _print(output: Output, data: TableData, files: dict[str, Path]) -> None:
     from l2a_lab import report
 
     output.say(f"{data.table.name}: {data.table.title}")
-    for section in report.sections(data, brief=True):
-        output.say("")
-        output.table(section.title, report.headings(section, "\n"), section.rows)
+    first, *others = data.table.conditions
+    for section in report.sections(data):
+        if section.condition == first:
+            output.say("")
+            output.table(f"{section.task}, {first.label}", section.columns, section.rows)
     output.say("")
     for note in report.notes(data):
         output.say(note)
     if data.left_out:
         output.say(f"not measured yet: {len(data.left_out)} cells")
+    if others:
+        output.say(f"the same at {', '.join(one.label for one in others)}: {files['markdown']}")
     for path in files.values():
         output.say(str(path))
 
@@ -213,15 +195,3 @@ def _summary(data: TableData, measured: int, files: dict[str, Path]) -> dict[str
         "rows": rows,
         "files": {name: str(path) for name, path in files.items()},
     }
-
-
-def _around(path: Path, table: Table) -> tuple[str, str]:
-    """What stands in a page before a table and after it, the lines that mark its place included."""
-    begin, end = (f"<!-- table {table.name}: {word} -->" for word in ("begin", "end"))
-    check_exists(path, "page for --into")
-    check_output(path, "--into")
-    text, _ = read_text(path, "page for --into")
-    head, _, rest = text.partition(begin)
-    if text.count(begin) != 1 or end not in rest:
-        raise InputError("--into", str(path), f"a file with the lines {begin} and {end}")
-    return f"{head}{begin}\n", f"\n{end}{rest.partition(end)[2]}"
