@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,9 @@ from make_recordings import REFERENCE, unpack
 # --hypothesis-profile=default` looks for others.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
+
+# What somebody has fetched on this machine changes no test.
+os.environ["LEARN2ASSEMBLE_AGENTS"] = str(Path(__file__).parent / "out" / "no-agents")
 
 
 TASKS = "learn2assemble.tasks", "learn2assemble.envs", "learning_data"

@@ -807,6 +807,15 @@ BAD = [
         table("T1", "--out", "{d}/special/figures"),
         "figures of this command",
     ),
+    BadCall("agents by name alone", ["agents", "dqn-s0"], "fetch"),
+    BadCall("agents listed by name", ["agents", "list", "dqn-s0"], "nothing, but with fetch"),
+    BadCall("a misspelt agent fetched", ["agents", "fetch", "dqn-so"], "dqn-s0"),
+    BadCall(
+        "agents of a folder there is not",
+        ["agents", "fetch", "dqn-s0", "--from", "{d}/nosuch"],
+        "a file there",
+    ),
+    BadCall("agents of no release", ["agents", "fetch"], "no release carries them"),
     BadCall("no curves", ["curves"], "NAME"),
     BadCall("misspelt curves", curves("algoritms"), "did you mean 'algorithms'"),
     BadCall(

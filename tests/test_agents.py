@@ -268,17 +268,17 @@ def test_unknown_agents(tmp_path: Path) -> None:
 def test_default_agent_prefers_the_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(agent_module, "PRETRAINED", tmp_path)
     monkeypatch.setattr(agent_module, "REPOSITORY", tmp_path / "none")
-    with pytest.raises(InputError, match="folder agents of the source repository"):
+    with pytest.raises(UnknownNameError, match="relational-cubes-s0"):
         default_agent(TASK)
     for name, task in (("a", "two-sided-3x3-20-24"), ("b", TASK)):
         save_agent(Agent(name, random_agent().network, task), tmp_path)
     assert list(agent_files()) == ["a", "b"]
     assert default_agent(TASK) == "b"
     assert load_agent("b").task == TASK
-    for ask in (lambda: load_agent("bb"), lambda: default_agent("four-sided-3x3-10-18")):
-        with pytest.raises(InputError, match="one of a, b; all others lie in the folder agents"):
-            ask()
-    monkeypatch.setattr(agent_module, "REPOSITORY", tmp_path)
+    with pytest.raises(UnknownNameError, match="relational-cubes-s0"):
+        default_agent("four-sided-3x3-10-18")
+    with pytest.raises(InputError, match=r"one that is here \(a, b\), or to fetch it"):
+        load_agent("dqn-s0")
     with pytest.raises(UnknownNameError, match="did you mean"):
         load_agent("bb")
 
@@ -304,7 +304,7 @@ def test_an_agent_is_shipped() -> None:
 
 
 def test_the_package_carries_only_defaults() -> None:
-    carried = {path.stem for path in agent_module.PRETRAINED.iterdir()}
+    carried = {path.stem for path in agent_module.PRETRAINED.glob("*.safetensors")}
     assert carried < set(agent_module.DEFAULTS.values()) <= set(agent_files())
     assert not carried & {path.stem for path in agent_module.REPOSITORY.iterdir()}
 

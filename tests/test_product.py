@@ -88,6 +88,7 @@ for name in sys.argv[1:]:
 """
 )
 LEARNS = {
+    "agents": ["list"],
     "benchmark": ["board", "entry.jsonl.gz"],
     "curves": ["algorithms"],
     "eval": ["two-sided-3x3-20-24"],

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from learn2assemble.tasks.learning.config import Learner, TrainConfig, register_learner
     from learn2assemble.tasks.learning.run import TrainingRun, train
     from learn2assemble.tasks.networks.agent import Agent, load_agent
+    from learn2assemble.tasks.networks.agent_fetch import fetch_agents
     from learn2assemble.tasks.networks.config import NetworkConfig, register_network
     from learn2assemble.tasks.search.config import SearchConfig, register_search
     from learn2assemble.tasks.simulator import Simulator
@@ -63,6 +64,7 @@ _HOME = {
     "tasks.learning.config": "Learner TrainConfig register_learner",
     "tasks.learning.run": "TrainingRun train",
     "tasks.networks.agent": "Agent load_agent",
+    "tasks.networks.agent_fetch": "fetch_agents",
     "tasks.networks.config": "NetworkConfig register_network",
     "statics.rigid_blocks": "Check check",
     "jobs.build": "build reach",
@@ -122,6 +124,7 @@ __all__ = [
     "evaluate",
     "export_assembly",
     "export_program",
+    "fetch_agents",
     "get_arm",
     "get_task",
     "hull_block",

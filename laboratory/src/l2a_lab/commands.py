@@ -176,6 +176,7 @@ def _keep_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run_keep(options: argparse.Namespace, output: Output) -> None:
+    from l2a_lab.runs import list_agents
     from learn2assemble.tasks.networks.agent import save_agent
 
     # All of them are read before anything is written.
@@ -184,6 +185,7 @@ def _run_keep(options: argparse.Namespace, output: Output) -> None:
     prepare(options.runs.parent)
     prepare(options.agents)
     files = [str(save_agent(agent, options.agents)) for agent in agents]
+    list_agents(options.agents)
     keep_runs(runs, options.runs)
     for text in (*files, f"{options.runs}: {', '.join(runs)}"):
         output.say(text)

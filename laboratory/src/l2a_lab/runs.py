@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from l2a_lab.packed import read_pack, write_pack
 from learn2assemble.errors import InputError
-from learn2assemble.files import check_exists, read_json, read_json_lines
+from learn2assemble.files import check_exists, read_json, read_json_lines, write_file
 
 if TYPE_CHECKING:
     from learn2assemble.tasks.networks.agent import Agent
@@ -95,3 +95,22 @@ def trained_agent(folder: Path) -> Agent | None:
 
     name = folder.absolute().name
     return None if STAGE in name else replace(load_agent(folder), name=name)
+
+
+def list_agents(folder: Path) -> None:
+    """Bring the package's list of agents to fetch up to date, where ``folder`` is that of the
+    checkout."""
+    from learn2assemble.tasks.networks.agent import PRETRAINED, REPOSITORY
+    from learn2assemble.tasks.networks.agent_fetch import (
+        ENDING,
+        LIST,
+        AgentList,
+        ListedAgent,
+        listed_agents,
+    )
+
+    if folder.resolve() == REPOSITORY:
+        found = {file.stem: ListedAgent.of(file) for file in folder.glob(f"*{ENDING}")}
+        text = AgentList(listed_agents().release, found).text()
+        write_file(PRETRAINED / LIST, text, "list of agents")
+        listed_agents.cache_clear()

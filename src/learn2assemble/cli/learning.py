@@ -255,6 +255,41 @@ def _enter(options: argparse.Namespace, output: Output) -> None:
     output.finish({"action": "run", "entries": [entries.summary(found)]})
 
 
+@command(
+    COMMANDS,
+    "agents",
+    "list the trained agents there are, or fetch others",
+    "l2a agents fetch dqn-s0 --from ../agents-of-a-release",
+    arg(
+        "action",
+        nargs="?",
+        choices=("list", "fetch"),
+        default="list",
+        help="list names those that are here, and those to fetch",
+    ),
+    arg("names", nargs="*", metavar="NAME", help="with fetch: which (all)"),
+    arg("--from", dest="source", default=None, help="folder or address (that of the release)"),
+    learns=True,
+)
+def _agents(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.tasks.networks.agent import agent_files, agent_info
+    from learn2assemble.tasks.networks.agent_fetch import fetch_agents, listed_agents
+
+    if options.action == "fetch":
+        files = fetch_agents(options.names, options.source, progress=output.progress)
+        output.say(f"{len(files)} agents in {files[0].parent}" if files else "no agents")
+        return output.finish({"files": [str(file) for file in files]})
+    if options.names or options.source is not None:
+        raise InputError("NAME or --from", "given", "nothing, but with fetch")
+    here = {name: agent_info(name)["task"] for name in agent_files()}
+    absent = {name: told.bytes for name, told in listed_agents().agents.items() if name not in here}
+    output.table("", ("agent", "task"), list(here.items()))
+    if absent:
+        size = sum(absent.values()) / 1e6
+        output.say(f"to fetch ({size:.1f} MB): {', '.join(absent)}")
+    output.finish({"here": here, "to_fetch": list(absent)})
+
+
 @command(COMMANDS, "tasks", "list the tasks and their agents", "l2a tasks", learns=True)
 def _tasks(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.tasks.networks.agent import agent_files, agent_info

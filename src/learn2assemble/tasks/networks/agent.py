@@ -2,7 +2,8 @@
 
 An agent is one file, ``NAME.safetensors``: weights, with architecture, task, training configuration
 and counters in its header (:mod:`.agent_file`). The package carries those that most tasks need by
-default, in ``pretrained/``; a checkout finds all the others by name in its folder ``agents/``.
+default, in ``pretrained/``; all others are fetched (:mod:`.agent_fetch`), or lie in the folder
+``agents/`` of a checkout.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any
 
 from learn2assemble.errors import InputError, extra, look_up
 from learn2assemble.files import as_path, check_exists, replacing
+from learn2assemble.tasks.networks.agent_fetch import ENDING, fetched_folder, listed_agents
 from learn2assemble.tasks.networks.agent_file import described, read_description
 from learn2assemble.tasks.networks.config import NETWORKS, NetworkConfig
 from learn2assemble.tasks.networks.placement import PlacementNetwork, PlacementValues
@@ -80,9 +82,10 @@ class Agent:
 
 
 def agent_files() -> dict[str, Path]:
-    """Name and weights of the agents there are by name: those of the package, and of a checkout
-    all others."""
-    files = [f for folder in (REPOSITORY, PRETRAINED) for f in folder.glob("*.safetensors")]
+    """Name and weights of the agents there are by name: those of the package, those of a checkout,
+    and those that were fetched."""
+    folders = fetched_folder(), REPOSITORY, PRETRAINED
+    files = [f for folder in folders for f in folder.glob(f"*{ENDING}")]
     return {f.stem: f for f in sorted(files, key=lambda f: f.stem)}
 
 
@@ -99,15 +102,11 @@ def agent_info(name: str) -> Mapping[str, Any]:
 def _named(name: str) -> Path:
     """Weights of the agent called ``name``."""
     files = agent_files()
-    if name in files or REPOSITORY.is_dir():
-        return look_up("agent", name, files)
-    known = ", ".join(files) or "none"
-    raise InputError(
-        "agent",
-        name,
-        f"one of {known}; all others lie in the folder agents of the source "
-        "repository: give the path of the .safetensors file",
-    )
+    file = look_up("agent", name, {**dict.fromkeys(listed_agents().agents), **files})
+    if file is None:
+        here = ", ".join(files) or "none"
+        raise InputError("agent", name, f"one that is here ({here}), or to fetch it (fetch_agents)")
+    return file
 
 
 DEFAULTS = {
@@ -157,7 +156,7 @@ def write_tensors(
 
 def save_agent(agent: Agent, folder: Path) -> Path:
     """Write an agent into ``folder``; returns the path of its file."""
-    file = folder / f"{agent.name}.safetensors"
+    file = folder / f"{agent.name}{ENDING}"
     info = {
         "format": FORMAT,
         "version": 1,
@@ -181,7 +180,7 @@ def load_agent(name_or_path: str | Path, device: torch.device | str = "cpu") -> 
     path = as_path(name_or_path, "agent")
     if path.is_dir():
         path = path / "agent.safetensors"
-    if path.suffix != ".safetensors":
+    if path.suffix != ENDING:
         if len(path.parts) > 1:  # No agent's name: a file or folder that is misspelt.
             check_exists(path, "file or folder of an agent")
         path = _named(str(name_or_path))
