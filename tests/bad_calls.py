@@ -816,6 +816,18 @@ BAD = [
         "a file there",
     ),
     BadCall("agents of no release", ["agents", "fetch"], "no release carries them"),
+    BadCall("a misspelt task shown", ["demonstrate", "two-sided-3x3-20-42"], "two-sided-3x3-20-24"),
+    BadCall(
+        "a design shown by an agent",
+        ["demonstrate", "designs-cubes-60", "--agent", "dqn-s0", "--out", "{d}/new"],
+        "as the exact planner builds it",
+    ),
+    BadCall(
+        "data sets into a file",
+        ["demonstrate", "two-sided-3x3-20-24", "--episodes", "1", "--out", "{d}/file.txt"],
+        "writable",
+    ),
+    BadCall("no episodes shown", ["demonstrate", "designs-cubes-60", "--episodes", "0"], "from 1"),
     BadCall("no curves", ["curves"], "NAME"),
     BadCall("misspelt curves", curves("algoritms"), "did you mean 'algorithms'"),
     BadCall(

@@ -52,7 +52,7 @@ ALLOWED: dict[str, set[str]] = {
     "export": _ARM | {"assembly", "simulation"},
     "viewer": _ARM | {"assembly", "design", "statics", "planning", "jobs"},
     "tasks": _PRODUCT | {"cell", "jobs", "workers"},
-    "envs": _PRODUCT | {"tasks"},
+    "envs": _PRODUCT | {"tasks", "workers"},
     "benchmark": _PRODUCT | {"tasks", "envs"},
     "cli": _PRODUCT
     | {"cell", "jobs", "export", "viewer", "tasks", "envs", "benchmark", "__init__"},

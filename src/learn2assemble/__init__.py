@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from learn2assemble.design.goals import read_goals as load_goals
     from learn2assemble.design.read import read_design as load_design
     from learn2assemble.envs.assembly import AssemblyEnv, AssemblyVectorEnv
+    from learn2assemble.envs.demonstrations import Demonstrated, demonstrate
     from learn2assemble.errors import InputError, Learn2AssembleError
     from learn2assemble.export.formats import export_assembly
     from learn2assemble.export.robot_programs import export_program, replay_program
@@ -57,6 +58,7 @@ _HOME = {
     "design.read": "load_design=read_design",
     "design.goals": "Goals load_goals=read_goals",
     "envs.assembly": "AssemblyEnv AssemblyVectorEnv",
+    "envs.demonstrations": "Demonstrated demonstrate",
     "errors": "InputError Learn2AssembleError",
     "tasks.evaluation.episodes": "Evaluation evaluate",
     "export.formats": "export_assembly",
@@ -97,6 +99,7 @@ __all__ = [
     "Block",
     "CellDesign",
     "Check",
+    "Demonstrated",
     "Evaluation",
     "Goals",
     "Hand",
@@ -121,6 +124,7 @@ __all__ = [
     "build",
     "calibrate",
     "check",
+    "demonstrate",
     "evaluate",
     "export_assembly",
     "export_program",

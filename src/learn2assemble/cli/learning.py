@@ -290,6 +290,36 @@ def _agents(options: argparse.Namespace, output: Output) -> None:
     output.finish({"here": here, "to_fetch": list(absent)})
 
 
+@command(
+    COMMANDS,
+    "demonstrate",
+    "demonstrations as a data set of Minari: an agent plays, or the exact planner builds",
+    "l2a demonstrate two-sided-3x3-20-24 --episodes 1000 --out out/demonstrations",
+    arg("task", metavar="TASK", help="of placements, or of designs"),
+    arg("--out", type=named, default=None, help="folder of the data sets (that of Minari)"),
+    arg("--agent", default=None, help=f"{AGENT_HELP} (the shipped one)"),
+    arg("--episodes", type=count, default=10_000),
+    arg("--seed", type=natural, default=0),
+    arg("--workers", type=count, default=1, help="processes"),
+    learns=True,
+)
+def _demonstrate(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.envs.demonstrations import demonstrate
+
+    made = demonstrate(
+        options.task,
+        options.out,
+        agent=options.agent,
+        episodes=options.episodes,
+        seed=options.seed,
+        workers=options.workers,
+        progress=output.progress,
+    )
+    told = made._asdict() | {"folder": str(made.folder)}
+    output.table("", ("quantity", "value"), list(told.items()))
+    output.finish(told)
+
+
 @command(COMMANDS, "tasks", "list the tasks and their agents", "l2a tasks", learns=True)
 def _tasks(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.tasks.networks.agent import agent_files, agent_info

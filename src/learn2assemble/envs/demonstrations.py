@@ -1,0 +1,353 @@
+"""Demonstrations as Minari data sets: tasks of placements played by an agent, designs built as the
+exact planner builds them.
+
+A data set is made in pieces of :data:`PIECE` episodes, each a file beside it until all are there:
+one that was interrupted goes on, and the same seed gives the same episodes, whoever works on them.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import time
+import warnings
+from collections.abc import Callable, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium
+import numpy as np
+
+from learn2assemble.envs import NAMESPACE, env_id
+from learn2assemble.envs.assembly import AssemblyVectorEnv
+from learn2assemble.envs.designs import DesignEnv
+from learn2assemble.errors import InputError, extra, is_whole, look_up
+from learn2assemble.files import replacing
+from learn2assemble.tasks.graph.features import node_offset
+from learn2assemble.tasks.graph.placements import distinct_placements, locate
+from learn2assemble.tasks.networks.agent import default_agent, load_agent, one_thread
+from learn2assemble.tasks.task import DESIGN_TASKS, PRESETS
+from learn2assemble.tasks.world_model import WorldModel
+from learn2assemble.workers import run_all
+
+PIECE, WORLDS = 250, 50
+"""Most episodes of a piece; worlds of a task of placements that are stepped at once."""
+PIECE_BYTES = 2.0**28
+"""No piece has many more bytes of observations in memory, unless it is one episode."""
+VERSION = 0
+"""Of the data sets: raised when episodes of the same seed change."""
+PLANNER = "planner"
+ROOT = "MINARI_DATASETS_PATH"
+"""The variable of the environment by which Minari finds its data sets."""
+SEED_STREAM = 5
+"""First word of every seed here; evaluations and trainings use others."""
+
+
+class Demonstrated(NamedTuple):
+    """A data set that was made."""
+
+    dataset: str
+    """Its name for ``minari.load_dataset``."""
+    folder: Path
+    """Where it lies."""
+    episodes: int
+    steps: int
+    R: float
+    """Mean return, not discounted."""
+    success: float
+    """Share of the episodes."""
+    seconds: float
+    """Wall clock; of the last call, where others went before it."""
+
+
+class _Piece(NamedTuple):
+    """Some episodes of a data set, and the file they go to."""
+
+    task: str
+    demonstrator: str
+    seed: int
+    number: int
+    episodes: int
+    file: Path
+
+
+Steps = dict[str, np.ndarray]
+"""Arrays over all steps of a piece, one after the other: ``actions``, ``rewards``, ``terminations``
+and, with one row more an episode, ``observations.NAME`` and ``infos.NAME``; ``lengths`` int64[E]:
+actions of each episode."""
+
+
+def demonstrate(
+    task: str,
+    out: str | Path | None = None,
+    *,
+    agent: str | Path | None = None,
+    episodes: int = 10_000,
+    seed: int = 0,
+    workers: int = 1,
+    progress: Callable[[str], object] | None = None,
+) -> Demonstrated:
+    """Make a data set of demonstrations that Minari reads.
+
+    Tasks of placements are played by an agent, greedy and without a search, with one action for
+    every distinct placement. Random designs are built in the order of the solution that the exact
+    planner found for them. ``infos`` hold ``action_masks`` and, of placements, ``coverage``.
+
+    Args:
+        task: of placements (``two-sided-3x3-20-24``), or of designs.
+        out: folder of the data sets; that of Minari without it.
+        agent: name or file; the shipped one for such tasks without it.
+        episodes: how many.
+        seed: of everything random.
+        workers: processes.
+        progress: is told how many episodes there are.
+
+    Raises:
+        MissingExtraError: without the extra ``demonstrations``.
+        UnknownNameError: for a task that does not exist.
+        InputError: for an agent of a task of designs, and for a data set that is there already.
+    """
+    with extra("minari", "demonstrations"):
+        import minari
+        from minari.storage import get_dataset_path
+    started = time.perf_counter()
+    look_up("task", task, {**PRESETS, **DESIGN_TASKS})
+    if task in DESIGN_TASKS and agent is not None:
+        raise InputError("agent", agent, f"none: {task} is built as the exact planner builds it")
+    if not is_whole(episodes, 1, 10**6):
+        raise InputError("episodes", episodes, "a whole number from 1 to 1000000")
+    if not is_whole(seed, 0):
+        raise InputError("seed", seed, "a whole number of at least 0")
+    demonstrator = PLANNER if task in DESIGN_TASKS else str(agent or default_agent(task))
+    name = PLANNER if task in DESIGN_TASKS else load_agent(demonstrator).name
+    dataset = f"{NAMESPACE}/{task}/{name}-v{VERSION}"
+    with _datasets_in(out):
+        try:
+            folder = Path(get_dataset_path(dataset))  # It makes the folder of all data sets.
+            parts = folder.with_name(f"{folder.name}.seed{seed}.parts")
+            if folder.exists():
+                raise InputError("data set", str(folder), "one that is not there yet")
+            parts.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            reason = error.strerror or "unwritable"
+            raise InputError("folder of data sets", str(out), f"writable ({reason})") from None
+        most = _piece_size(task)
+        sizes = [min(most, episodes - first) for first in range(0, episodes, most)]
+        pieces = [
+            _Piece(task, demonstrator, seed, number, size, parts / f"{number}.npz")
+            for number, size in enumerate(sizes)
+        ]
+        done = sum(piece.episodes for piece in pieces if _whole(piece))
+        left = [piece for piece in pieces if not _whole(piece)]
+        for piece, _ in run_all(_make, left, workers=workers):
+            done += piece.episodes
+            if progress is not None:
+                progress(f"{done} of {episodes} episodes")
+        steps, total, successes = _write(minari, dataset, task, name, pieces)
+        shutil.rmtree(parts)
+    seconds = time.perf_counter() - started
+    return Demonstrated(
+        dataset, folder, episodes, steps, total / episodes, successes / episodes, seconds
+    )
+
+
+@contextmanager
+def _datasets_in(out: str | Path | None) -> Any:
+    """Minari finds data sets in ``out``."""
+    before = os.environ.get(ROOT)
+    if out is not None:
+        os.environ[ROOT] = str(Path(out).absolute())
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop(ROOT, None)
+        else:
+            os.environ[ROOT] = before
+
+
+def _whole(piece: _Piece) -> bool:
+    """Whether the file of a piece has its episodes."""
+    if not piece.file.is_file():
+        return False
+    with np.load(piece.file) as found:
+        return len(found["lengths"]) == piece.episodes
+
+
+def _piece_size(task: str) -> int:
+    """Episodes of a piece: as many as their observations allow."""
+    env: Any = _environment(task).unwrapped
+    steps = env.task.blocks[1] if isinstance(env, DesignEnv) else env.task.max_blocks
+    spaces: Any = env.observation_space
+    row = sum(math.prod(part.shape) * part.dtype.itemsize for part in spaces.values())
+    return int(np.clip(PIECE_BYTES / (row * steps), 1, PIECE))
+
+
+def _environment(task: str) -> Any:
+    """The environment whose actions and observations a data set has."""
+    how: dict[str, Any] = {} if task in DESIGN_TASKS else {"actions": "placements"}
+    return gymnasium.make(env_id(task), **how)
+
+
+def piece_seed(seed: int, number: int) -> int:
+    """What the environments of a piece are reset with; world k of several with k more."""
+    words = np.random.SeedSequence([SEED_STREAM, seed, number])
+    return int(words.generate_state(1, np.uint32)[0])
+
+
+def _make(piece: _Piece) -> int:
+    """Play a piece and write its file."""
+    seed = piece_seed(piece.seed, piece.number)
+    play = _designs if piece.demonstrator == PLANNER else _placements
+    with one_thread():
+        found = play(piece, seed)
+    with replacing(piece.file, "piece of a data set") as part, part.open("wb") as stream:
+        np.savez_compressed(stream, **found)  # pyright: ignore[reportArgumentType]
+    return piece.episodes
+
+
+class _Recorder:
+    """Steps of worlds, episode by episode."""
+
+    def __init__(self, worlds: int) -> None:
+        self._open: list[list[dict[str, Any]]] = [[] for _ in range(worlds)]
+        self.done: list[list[list[dict[str, Any]]]] = [[] for _ in range(worlds)]
+
+    def seen(self, world: int, observation: Mapping[str, Any], info: Mapping[str, Any]) -> None:
+        """What a world shows now: a row of the episode that goes on."""
+        row: dict[str, Any] = {f"observations.{k}": v for k, v in observation.items()}
+        row |= {f"infos.{k}": info[k] for k in ("action_masks", "coverage") if k in info}
+        self._open[world].append(row)
+
+    def acted(self, world: int, action: int, reward: float, ended: bool) -> None:
+        """What was done with what was seen last."""
+        row = {"actions": np.int64(action), "rewards": float(reward), "terminations": ended}
+        self._open[world][-1] |= row
+
+    def end(self, world: int, success: bool) -> None:
+        """The episode is over, its last row seen."""
+        self._open[world][-1]["success"] = success
+        self.done[world].append(self._open[world])
+        self._open[world] = []
+
+    def steps(self, each: list[int]) -> Steps:
+        """The first episodes of every world, so many as ``each`` says: those that were longer
+        count as much as short ones."""
+        kept = [e for done, n in zip(self.done, each, strict=True) for e in done[:n]]
+        rows = [row for episode in kept for row in episode]
+        found = {
+            key: np.stack([row[key] for row in rows if key in row])
+            for key in dict.fromkeys(key for row in rows for key in row)
+        }
+        return found | {"lengths": np.array([len(episode) - 1 for episode in kept])}
+
+
+def _placements(piece: _Piece, seed: int) -> Steps:
+    """Episodes of a task of placements by an agent."""
+    worlds = min(WORLDS, piece.episodes)
+    each = [piece.episodes // worlds + (k < piece.episodes % worlds) for k in range(worlds)]
+    env = AssemblyVectorEnv(
+        piece.task, worlds, physics_mask=False, autoreset_mode="SameStep", actions="placements"
+    )
+    simulator = env.simulator
+    model = WorldModel(simulator, load_agent(piece.demonstrator).network)
+    found = _Recorder(worlds)
+    observations, infos = env.reset(seed=seed)
+    while any(len(done) < wanted for done, wanted in zip(found.done, each, strict=True)):
+        graph, spec = simulator.observe(env.state), simulator.action_spec
+        chosen = model.best(env.state)[1] + node_offset(graph)
+        actions = locate(distinct_placements(graph, spec), graph, chosen, spec)
+        for k in range(worlds):
+            found.seen(k, _row(observations, k), _row(infos, k))
+        observations, rewards, ended, _, infos = env.step(actions)
+        for k in range(worlds):
+            found.acted(k, actions[k], rewards[k], bool(ended[k]))
+            if ended[k]:
+                last, told = infos["final_obs"][k], _row(infos["final_info"], k)
+                found.seen(k, last, told)
+                found.end(k, bool(told["success"]))
+    return found.steps(each)
+
+
+def _row(batch: Mapping[str, Any], k: int) -> dict[str, Any]:
+    """Of one world; what is ended, or said of others only, is left out."""
+    return {key: value[k] for key, value in batch.items() if isinstance(value, np.ndarray)}
+
+
+def _designs(piece: _Piece, seed: int) -> Steps:
+    """Random designs, built in the order of the solution that the exact planner found."""
+    env = DesignEnv(piece.task)
+    found = _Recorder(1)
+    observation, info = env.reset(seed=seed)
+    while len(found.done[0]) < piece.episodes:
+        assert env.solved is not None
+        for candidate in env.solved.order:
+            action = env.number(candidate)
+            if action is None:  # More are offered than an action can name.
+                break
+            found.seen(0, observation, info)
+            observation, reward, ended, _, info = env.step(action)
+            found.acted(0, action, reward, ended)
+        if info["success"]:
+            found.seen(0, observation, info)
+            found.end(0, True)
+        observation, info = env.reset()
+    return found.steps([piece.episodes])
+
+
+def _write(
+    minari: Any, dataset: str, task: str, name: str, pieces: list[_Piece]
+) -> tuple[int, float, int]:
+    """Put the pieces together; number of steps, sum of rewards, episodes with success."""
+    env, first = _environment(task), 0
+    steps, total, successes, made = 0, 0.0, 0, None
+    for piece in pieces:
+        with np.load(piece.file) as stored:
+            found = {key: stored[key] for key in stored.files}
+        buffers = _buffers(minari.data_collector.EpisodeBuffer, found, first)
+        first += piece.episodes
+        steps += int(found["lengths"].sum())
+        total += float(found["rewards"].sum())
+        successes += int(found["success"].sum())
+        if made is None:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # That author and address are not told.
+                made = minari.create_dataset_from_buffers(
+                    dataset,
+                    buffers,
+                    env=env,
+                    algorithm_name=name,
+                    description=f"{task} as {name} plays it.",
+                    data_format="hdf5",
+                )
+        else:
+            made.update_dataset_from_buffer(buffers)
+    return steps, total, successes
+
+
+def _buffers(buffer: Callable[..., Any], found: Steps, first: int) -> list[Any]:
+    """The episodes of a piece as Minari takes them."""
+    ends = np.cumsum(found["lengths"])
+    out = []
+    for number, (end, count) in enumerate(
+        zip(ends.tolist(), found["lengths"].tolist(), strict=True)
+    ):
+        taken, seen = slice(end - count, end), slice(end - count + number, end + number + 1)
+        out.append(
+            buffer(
+                id=first + number,
+                observations=_named(found, "observations.", seen),
+                actions=found["actions"][taken],
+                rewards=found["rewards"][taken],
+                terminations=found["terminations"][taken],
+                truncations=np.zeros(count, np.bool_),
+                infos=_named(found, "infos.", seen),
+            )
+        )
+    return out
+
+
+def _named(found: Steps, start: str, rows: slice) -> dict[str, np.ndarray]:
+    return {key[len(start) :]: v[rows] for key, v in found.items() if key.startswith(start)}

@@ -1,0 +1,144 @@
+"""Demonstrations: what Minari reads is what the environments do with the recorded actions."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import minari
+import numpy as np
+import pytest
+
+from learn2assemble.envs import demonstrations
+from learn2assemble.envs.demonstrations import ROOT, Demonstrated, demonstrate
+from learn2assemble.errors import InputError, UnknownNameError
+
+TASK, DESIGNS = "two-sided-3x3-20-24", "designs-cubes-60"
+
+
+def loaded(made: Demonstrated, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.setenv(ROOT, str(folder))
+    return minari.load_dataset(made.dataset)
+
+
+@pytest.mark.parametrize(
+    ("task", "episodes", "name"),
+    [(TASK, 7, "relational-cubes-s0"), (DESIGNS, 3, "planner")],
+)
+def test_a_data_set_is_read_back(
+    task: str, episodes: int, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its episodes are whole, its figures are those of its episodes, its spaces those of the
+    environment that it names."""
+    made = demonstrate(task, tmp_path, episodes=episodes, seed=3)
+    assert made.dataset == f"learn2assemble/{task}/{name}-v0"
+    assert made.folder == tmp_path / made.dataset
+    assert [p.name for p in made.folder.parent.iterdir() if p.is_dir()] == [f"{name}-v0"]
+    data = loaded(made, tmp_path, monkeypatch)
+    env = data.recover_environment()
+    assert (data.total_episodes, data.total_steps) == (episodes, made.steps)
+    total, lengths = 0.0, set[int]()
+    for episode in data.iterate_episodes():
+        count = len(episode.actions)
+        lengths.add(count)
+        assert episode.terminations.tolist() == [False] * (count - 1) + [True]
+        assert not episode.truncations.any()
+        total += float(episode.rewards.sum())
+        for k in range(count + 1):
+            seen = {key: value[k] for key, value in episode.observations.items()}
+            seen = {key: np.asarray(v, env.observation_space[key].dtype) for key, v in seen.items()}
+            assert env.observation_space.contains(seen)
+            if k < count:
+                assert env.action_space.contains(episode.actions[k])
+                assert episode.infos["action_masks"][k, episode.actions[k]] == 1
+    assert total / episodes == pytest.approx(made.R)
+    assert len(lengths) > 1, "problems differ"
+    if task == DESIGNS:
+        assert (made.R, made.success) == (pytest.approx(2.0), 1.0)
+
+
+def test_the_recorded_actions_give_the_recorded_rewards(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Played in the environment from the same problem, to the last observation."""
+    made = demonstrate(TASK, tmp_path, episodes=2, seed=1)
+    (first, *_) = loaded(made, tmp_path, monkeypatch).iterate_episodes()
+    env = gymnasium.make(f"learn2assemble/{TASK}-v0", actions="placements").unwrapped
+    seed = demonstrations.piece_seed(1, 0)
+    observation, _ = env.reset(seed=seed)
+    for k, action in enumerate(first.actions):
+        for key, value in observation.items():
+            np.testing.assert_array_equal(value, first.observations[key][k])
+        observation, reward, ended, _, _ = env.step(action)
+        assert (reward, ended) == (first.rewards[k], first.terminations[k])
+    for key, value in observation.items():
+        np.testing.assert_array_equal(value, first.observations[key][-1])
+
+
+def test_workers_and_interruptions_change_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(demonstrations, "PIECE", 3)
+    whole = demonstrate(TASK, tmp_path / "a", episodes=8)
+    made: list[Path] = []
+    play = demonstrations._make
+
+    def stop_after_two(piece: Any) -> int:
+        if len(made) == 2:
+            raise KeyboardInterrupt
+        made.append(piece.file)
+        return play(piece)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(demonstrations, "_make", stop_after_two)
+        with pytest.raises(KeyboardInterrupt):
+            demonstrate(TASK, tmp_path / "b", episodes=8)
+    before = {file: file.read_bytes() for file in made}
+    told: list[str] = []
+    again = demonstrate(TASK, tmp_path / "b", episodes=8, progress=told.append)
+    assert told == ["8 of 8 episodes"], "two pieces of three were there"
+    assert not any(file.exists() for file in before)
+    a, b = (loaded(m, tmp_path / n, monkeypatch) for m, n in ((whole, "a"), (again, "b")))
+    for one, other in zip(a.iterate_episodes(), b.iterate_episodes(), strict=True):
+        np.testing.assert_array_equal(one.actions, other.actions)
+        np.testing.assert_array_equal(one.observations["nodes"], other.observations["nodes"])
+
+
+def test_what_cannot_be_demonstrated_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for words, given in {
+        "built as the exact planner builds it": {"task": DESIGNS, "agent": "dqn-s0"},
+        "1 to 1000000": {"task": TASK, "episodes": 0},
+        "at least 0": {"task": TASK, "seed": -1},
+    }.items():
+        with pytest.raises(InputError, match=words):
+            demonstrate(out=tmp_path, **given)
+    with pytest.raises(UnknownNameError, match="two-sided-3x3-20-24"):
+        demonstrate("two-sided-3x3-20-42", tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="writable"):
+        demonstrate(TASK, tmp_path / "file", episodes=1)
+    demonstrate(TASK, tmp_path, episodes=1)
+    with pytest.raises(InputError, match="not there yet"):
+        demonstrate(TASK, tmp_path, episodes=1)
+    assert ROOT not in os.environ
+
+
+@pytest.mark.slow
+def test_behaviour_is_cloned(tmp_path: Path) -> None:
+    """The example learns from a few episodes, and writes an entry that can be checked."""
+    from learn2assemble.envs.submission import check
+
+    demonstrate(TASK, tmp_path, episodes=40)
+    script = Path(__file__).parents[1] / "examples" / "benchmark" / "behaviour_cloning.py"
+    entry = tmp_path / "cloned.jsonl.gz"
+    words = [sys.executable, str(script), str(tmp_path), str(entry), "1", "2"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert not done.returncode, done.stderr
+    assert "40 episodes" in done.stdout
+    assert check(entry).entry == "behaviour cloning (40 episodes)"
