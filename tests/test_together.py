@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 
 import learn2assemble as l2a
+from l2a_lab.arm_distances import MOMENTS, WatchedCell
 from l2a_lab.shapes import wall
-from l2a_lab.two_arms import Watched, names, summary
+from l2a_lab.two_arms import EIGHT, names, summary
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.pair import BESIDE, HAND, Pair, gather, lower_beside
 from learn2assemble.cell.site import Site
@@ -260,7 +261,7 @@ def counted(traffic: Traffic) -> list[bool]:
 
 
 def test_two_arms_build_together(crew: Pair) -> None:
-    both = Together(crew, Watched)
+    both = Together(crew, WatchedCell)
     told: list[str] = []
     announced = counted(both.traffic)
     assert both.run(told.append) is None
@@ -283,8 +284,9 @@ def test_two_arms_build_together(crew: Pair) -> None:
     truth = both.plant.truth()
     for piece in job.pieces:
         assert np.linalg.norm(truth[piece.id][:3] - piece.pose[:3]) < 1e-3
-    assert both.plant.looks > 50
-    assert both.plant.least >= 0.010
+    least = both.plant.least()
+    assert least.moments == MOMENTS
+    assert least.distance >= 0.010
     for record in both.records:
         assert find_fault(record) is None
         assert record.spans()[-1][1] <= both.seconds + 0.1
@@ -294,13 +296,13 @@ def test_two_arms_build_where_readings_are_not_exact() -> None:
     """It takes time to see a block that is presented, and both want the same one."""
     noise = Noise(5e-4, np.radians(0.2), 5e-4, missing=0.02)
     found = crew_for(design(10, 2, 3), Workcell("ur5e", noise=noise, seed=1))
-    both = Together(found, Watched)
+    both = Together(found, WatchedCell)
     announced = counted(both.traffic)
     assert both.run() is None
     assert {turn.arm for turn in both.turns} == {0, 1}
     # Where the other arm's block will stand is not known before it does.
     assert not any(announced)
-    assert both.plant.least >= 0.010
+    assert both.plant.least().distance >= 0.010
     truth = both.plant.truth()
     for piece in found.found[0].job.pieces:
         assert np.linalg.norm(truth[piece.id][:3] - piece.pose[:3]) < 2e-3
@@ -309,7 +311,7 @@ def test_two_arms_build_where_readings_are_not_exact() -> None:
 def test_an_arm_that_is_stopped_leaves_the_other_one_safe(crew: Pair) -> None:
     """The first arm stops on its way across: it stands there, with what it holds, and the other one
     keeps its distance and does not place that block."""
-    both = Together(crew, Watched)
+    both = Together(crew, WatchedCell)
     mine, execute = both.plant.plants[0], both.plant.plants[0].execute
 
     def stopped(motion: Motion, *told: object) -> Report:
@@ -329,30 +331,40 @@ def test_an_arm_that_is_stopped_leaves_the_other_one_safe(crew: Pair) -> None:
     other = both.plant.plants[1]
     assert both.reasons[1]
     assert np.abs(other.sense().velocity).max() < 1e-2
-    assert both.plant.least >= 0.010
+    assert both.plant.least().distance >= 0.010
     # It hangs in the air: where it waits its middle is half of its height above the table.
     piece = crew.found[0].job.pieces[min(both.lost)]
     assert both.plant.truth()[held][2] > piece.half.min() + 0.02
 
 
 def test_two_arms_are_measured_beside_the_faster_one() -> None:
-    def one(seconds: float, least: float | None) -> dict[str, Any]:
+    def one(seconds: float, least: float = 0.0) -> dict[str, Any]:
         told = {"status": "complete", "reason": None, "blocks": 5, "robot_s": seconds}
-        return told | {"least_distance": least}
+        return told | {"least_distance": least, "planning_s": 7.0}
 
+    stuck = {"status": "refused", "reason": "why"}
     entries = {
-        **{"a/ur5e": one(30.0, None), "a/panda": one(20.0, None), "a/both": one(15.0, 0.0234)},
-        **{"b/ur5e": one(40.0, None), "b/panda": one(50.0, None), "b/both": one(10.0, None)},
-        "c/ur5e": one(10.0, None) | {"status": "incomplete", "reason": "why"},
+        **{"others/a/ur5e": one(30.0), "others/a/panda": one(20.0)},
+        **{"others/a/both": one(15.0, 0.0234)},
+        # Of what one arm alone cannot build, the other one counts.
+        **{"eight/b/ur5e": one(40.0), "eight/b/panda": stuck, "eight/b/both": one(10.0, 0.1)},
+        "eight/c/ur5e": one(10.0),
+        **{f"eight/d/{who}": stuck for who in ("ur5e", "panda")},
+        "eight/d/both": one(5.0),
+        "eight/e/both": stuck,
     }
     rows = {what: got for what, _, got in summary(entries)}
     assert rows == {
-        "a": "5 blocks: 15.0 s over 20.0 s, 0.75, 23 mm apart at least",
-        "b": "5 blocks: 10.0 s over 40.0 s, 0.25, 100 mm apart at least",
-        "c": "incomplete (why)",
-        "two arms over one": "0.50 mean",
+        "a": "5 blocks: 15.0 s over 20.0 s, 0.75, 23.4 mm apart at least, planned in 7.0 s",
+        "b": "5 blocks: 10.0 s over 40.0 s, 0.25, 100.0 mm apart at least, planned in 7.0 s",
+        "c": "not measured (None)",
+        "d": "by two only",
+        "e": "refused (why)",
+        "two arms over one, others": "0.75 mean of 1",
+        "two arms over one, eight": "0.25 mean of 1",
     }
-    assert {name.split("/")[1] for name in names()} == {"ur5e", "panda", "both"}
+    assert len(EIGHT) == 8
+    assert {name.split("/")[2] for name in names()} == {"ur5e", "panda", "both"}
 
 
 # ---------------------------------------------------------------- from the outside

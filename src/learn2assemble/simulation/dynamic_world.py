@@ -115,14 +115,16 @@ class DynamicWorld(SimulatedCell):
 
     def take_poses(self) -> None:
         """Where the simulation has the blocks that are free."""
-        poses = self.simulated.poses
-        for name, number in self.number.items():
+        for name in self.number:
             if name in self.things:
-                place, turn = poses[number, :3], poses[number, 3:]
-                turn = turn / np.linalg.norm(turn)
-                where = place + quaternion_matrix(turn) @ self.offset[name]
-                turned = quaternion_product(turn, self.turn[name])
-                self.things[name].pose = np.array([*where, *turned])
+                self.things[name].pose = self.pose_now(name)
+
+    def pose_now(self, name: str) -> np.ndarray:
+        """float64[7]: where the simulation has a block that is free."""
+        pose = self.simulated.poses[self.number[name]]
+        turn = pose[3:] / np.linalg.norm(pose[3:])
+        where = pose[:3] + quaternion_matrix(turn) @ self.offset[name]
+        return np.array([*where, *quaternion_product(turn, self.turn[name])])
 
     def called(self, number: int | None) -> str | None:
         """The block that an object of the simulation is."""
