@@ -150,3 +150,24 @@ def test_nothing_moves_farther_than_a_sweep_says() -> None:
         moved = np.linalg.norm(np.diff(swept.lines, axis=0), axis=3).max((1, 2))
         assert (moved <= np.diff(swept.way, axis=0).max(1) + 1e-9).all()
         assert moved.max() > 1e-3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_left_of_a_way_has_all_that_comes(seed: int) -> None:
+    """Of an arm that strays from it by some millimetres: nothing that is ahead is missing, and of
+    what is behind only the last bit is there."""
+    rng, capsules = np.random.default_rng(seed), capsules_of(RIGHT)
+    start, end = postures(RIGHT, rng), postures(RIGHT, rng)
+    whole = sweep(RIGHT, capsules, np.array([start, end]))
+    share = 0.0
+    for _ in range(6):
+        share += rng.uniform(0.05, 0.2)
+        stray = rng.normal(0, 1e-3, len(start))
+        here = sweep(RIGHT, capsules, (start + share * (end - start) + stray)[None])
+        left = whole.from_near(here)
+        gone = len(whole.lines) - len(left.lines)
+        assert np.array_equal(left.lines, whole.lines[gone:])
+        assert gone / (len(whole.lines) - 1) <= share
+        assert gone / (len(whole.lines) - 1) > share - 8 / len(whole.lines)
+        assert not clear(left, here, 0.0)
+    assert len(whole.lines) > 50

@@ -18,8 +18,10 @@ from l2a_lab.arm_distances import MOMENTS, WatchedCell
 from l2a_lab.builds import EXAMPLES, PLAN_SECONDS, SMALL_FIRST
 from l2a_lab.measured import Figures, Result
 from l2a_lab.shapes import SHAPES, wall
+from l2a_lab.stopped_arm import APART, Job, drawn, stopped
 from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
 from learn2assemble.cell.carry_out import carry_out
+from learn2assemble.cell.crew import Member
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import plan_by_team, set_up_team
@@ -53,26 +55,31 @@ ASKED = 0.62
 """Of the time of one arm, for the eight."""
 LONGEST = 60.0
 """That planning may take [s]."""
-APART = 0.01
-"""What the arms shall keep from each other [m]."""
+STOPPED, STOPPED_SECONDS, STOPS = "pyramid.json", 40.0, 10
+"""What is built when an arm is stopped, in how many seconds at least, and how often it is."""
 
 
 def names() -> list[str]:
-    """Every measurement: set / design / who builds it."""
-    return [
+    """Every measurement: set / design / who builds it, or the number of a stop."""
+    built = [
         f"{kind}/{what}/{who}"
         for kind, designs in SETS.items()
         for what in designs
         for who in (*ARMS, BOTH)
     ]
+    return [*built, *(f"stopped/{STOPPED}/{number}" for number in range(STOPS))]
 
 
 def entry(name: str) -> Result:
     """One measurement by its name."""
-    _, what, who = name.split("/")
+    kind, what, who = name.split("/")
     started = time.process_time()
     design, kit = _design(what)
     plan = plan_cells(design, kit, seconds=PLAN_SECONDS)
+    if kind == "stopped":
+        shared, members = _shared(plan, kit)
+        job = Job(shared, members, Workcell(ARMS[0]), kit.joint_gap)
+        return stopped(job, drawn(STOPS, STOPPED_SECONDS)[int(who)])
     if who != BOTH:
         done = carry_out(plan, Workcell(who, "suction"), joint=kit.joint_gap)
         told: Result = {} if done.arm is None else {"robot_s": done.arm.seconds}
@@ -89,7 +96,6 @@ def _together(plan: Plan, kit: Kit, started: float) -> tuple[Plan, Result]:
         plan: of the tiling; its order is found again, with the arms.
         started: when planning has begun, on the clock of the process [s].
     """
-    assert plan.assembly is not None
     cells: list[WatchedCell] = []
     planned: list[float] = []
 
@@ -98,9 +104,7 @@ def _together(plan: Plan, kit: Kit, started: float) -> tuple[Plan, Result]:
         cells.append(WatchedCell(setup))
         return cells[-1]
 
-    members = set_up_team(plan.assembly, [SiteArm(arm, arm) for arm in ARMS], Site())
-    options = {"friction": None, "gap": kit.joint_gap, "seconds": PLAN_SECONDS}
-    shared = plan_by_team(plan.assembly, members, options=options)
+    shared, members = _shared(plan, kit)
     if not shared.complete:
         return shared, {"planning_s": round(time.process_time() - started, 2)}
     done = build_together(shared, members, Workcell(ARMS[0]), joint=kit.joint_gap, opened=opened)
@@ -111,6 +115,14 @@ def _together(plan: Plan, kit: Kit, started: float) -> tuple[Plan, Result]:
         "moments": least.moments,
         "planning_s": round(planned[0], 2),
     }
+
+
+def _shared(plan: Plan, kit: Kit) -> tuple[Plan, list[Member]]:
+    """A plan whose order is found again, with both arms; and these."""
+    assert plan.assembly is not None
+    members = set_up_team(plan.assembly, [SiteArm(arm, arm) for arm in ARMS], Site())
+    options = {"friction": None, "gap": kit.joint_gap, "seconds": PLAN_SECONDS}
+    return plan_by_team(plan.assembly, members, options=options), members
 
 
 def _design(what: str) -> tuple[CellDesign, Kit]:
@@ -147,8 +159,11 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
     rows: list[tuple[str, str, str]] = []
     shares: dict[str, list[float]] = {}
     asked = f"complete, >= {1e3 * APART:g} mm apart, planned in <= {LONGEST:g} s"
+    stops = [entries[name] for name in entries if name.startswith("stopped/")]
     for what in dict.fromkeys(name.rpartition("/")[0] for name in entries):
         kind, _, design = what.partition("/")
+        if kind not in SETS:
+            continue
         both, first = beside_one(entries, what)
         if both.get("status") != "complete" or first is None:
             why = f"{both.get('status', 'not measured')} ({both.get('reason')})"
@@ -162,6 +177,11 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
     for kind, found in shares.items():
         mean = f"{np.mean(found):.2f} mean of {len(found)}"
         rows.append((f"two arms over one, {kind}", f"<= {ASKED} mean", mean))
+    if stops:
+        safe = sum(one["other_safe"] for one in stops)
+        complete = sum(one["status"] == "complete" for one in stops)
+        got = f"{safe} of {len(stops)}, {complete} of {len(stops)}"
+        rows.append(("one arm stopped: other one safe, resumed and complete", ">= 9 of 10", got))
     return rows
 
 

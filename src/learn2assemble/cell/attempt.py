@@ -10,7 +10,7 @@ import numpy as np
 from learn2assemble.cell.belief import Estimate
 from learn2assemble.cell.sight import Sight
 from learn2assemble.cell.workcell import Job
-from learn2assemble.cell.world import Rows
+from learn2assemble.cell.world import STOCK, Rows
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.plant import Plant, ToolCommand
 from learn2assemble.motion.record import RATE, Stage
@@ -147,12 +147,13 @@ class AttemptSenses:
             k = int(self.rows.owner[lead])
             if k == self.moving and sight.held is not None:
                 pose = sight.held_pose(run.joints)
-            elif k >= 0:
+            elif k < 0 or (k != self.moving and sight.world.state[k] == STOCK):
+                # An obstacle, or what another arm is about to put where it was taken to be.
+                continue
+            else:
                 pose = sight.world.pose[k]
                 if k == self.moving and not sight.unknown(k):
                     pose = sight.belief.known[self.name].pose
-            else:
-                continue
             place = pose[:3] + quaternion_matrix(pose[3:]) @ self._centre(lead)
             poses[number] = [*place, *pose[3:]]
         return poses

@@ -525,22 +525,46 @@ class Building:
 
     # ------------------------------------------------------------ going on after an interruption
 
-    def _append(self) -> None:
-        if self.log is None:
-            return
+    def snapshot(self) -> dict[str, Any]:
+        """All that is known of the build, with what came of the last attempt."""
         world = self.world
-        state = {
+        return {
             "pose": world.pose.tolist(),
             "spread": world.spread.tolist(),
-            "state": world.state,
-            "used": world.used,
-            "source": world.source,
-            "names": world.names,
+            "state": list(world.state),
+            "used": list(world.used),
+            "source": list(world.source),
+            "names": list(world.names),
             "joints": self.joints.tolist(),
             **self.known.state(),
             **self.sight.state(),
             **self.recording.state(),
         }
+
+    def take_up(self, last: dict[str, Any], done: list[Any], records: list[Any]) -> None:
+        """Know what was known; the plant is as it was.
+
+        Args:
+            last: the latest :meth:`snapshot`.
+            done: what came of all attempts, as snapshots say it.
+            records: of their steps.
+        """
+        world = self.world
+        for piece in last["like"]:
+            world.add(piece)
+        world.names[:] = last["names"]
+        self.names.update(world.names)
+        world.pose, world.spread = np.array(last["pose"]), np.array(last["spread"])
+        world.state, world.used, world.source = last["state"], last["used"], last["source"]
+        self.joints = self._where(np.array(last["joints"]))
+        self.known.restore(last, done)
+        self.sight.restore(last)
+        self.recording.restore(last, records)
+
+    def _append(self) -> None:
+        if self.log is None:
+            return
+        state = self.snapshot()
         if self.kept is not None:
             state["plant"] = self.kept.save()
             # The simulation goes on from what is in the file, as it does when it is read again: an
@@ -555,16 +579,26 @@ class Building:
         states = [] if self.log is None else read_states(self.log, self.key)
         if not states:
             return
-        last, world = states[-1], self.world
-        for piece in last["like"]:
-            world.add(piece)
-        world.names[:] = last["names"]
-        self.names.update(world.names)
-        world.pose, world.spread = np.array(last["pose"]), np.array(last["spread"])
-        world.state, world.used, world.source = last["state"], last["used"], last["source"]
+        last = states[-1]
         if self.kept is not None and "plant" in last:
             self.kept.restore(last["plant"])
-        self.joints = self._where(np.array(last["joints"]))
-        self.known.restore(last, [state["done"] for state in states])
-        self.sight.restore(last)
-        self.recording.restore(last, [state["record"] for state in states if "record" in state])
+        records = [state["record"] for state in states if "record" in state]
+        self.take_up(last, [state["done"] for state in states], records)
+
+    def hand_back(self, k: int) -> None:
+        """A magazine takes back what it has presented, wherever that is now: nothing came of the
+        attempt."""
+        self._take_back(k)
+        number = self.world.magazine(k)
+        if number is not None:
+            self.world.used[number] -= 1
+        self.world.state[k] = STOCK
+
+    def presented(self) -> list[int]:
+        """Blocks that lie at magazines, and were to be fetched there."""
+        world, found = self.world, list[int]()
+        for k in range(len(self.job.pieces)):
+            number = world.magazine(k)
+            if world.state[k] == LOOSE and number is not None and self._still_there(k, number):
+                found.append(k)
+        return found

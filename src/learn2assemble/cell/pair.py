@@ -5,7 +5,7 @@ each other's way, and what of the other one each has to keep clear of.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -77,13 +77,16 @@ def gather(
         replace(job, obstacles=(*job.obstacles, *occupied(other)))
         for job, other in zip(jobs, reversed(jobs), strict=True)
     )
-    structure, found, cells = Structure(first), list[Prepared](), list[Workcell]()
-    for number, job in enumerate((first, second)):
-        cell = KinematicCell(job.arm, cells_of(job))
-        steps, stuck = possible(job, structure, cell)
-        order = Arranged(shared_out(job, structure, steps, number), stuck)
-        found.append(Prepared(job, structure, order, cell))
-        cells.append(replace(workcell, arm=job.arm.name, tool=job.arm.tool_name))
+    structure, jobs = Structure(first), [first, second]
+    kinematic = [KinematicCell(job.arm, cells_of(job)) for job in jobs]
+    can = [possible(job, structure, cell) for job, cell in zip(jobs, kinematic, strict=True)]
+    found, cells = list[Prepared](), list[Workcell]()
+    for number, (job, cell) in enumerate(zip(jobs, kinematic, strict=True)):
+        (steps, stuck), (others, _) = can[number], can[1 - number]
+        order = shared_out(job, structure, steps, set(others), number)
+        found.append(Prepared(job, structure, Arranged(order, stuck), cell))
+        # What is kept of the build is kept of both at once.
+        cells.append(replace(workcell, arm=job.arm.name, tool=job.arm.tool_name, log=None))
     reached = {step for one in found for step in one.order.steps}
     left = [step for step in first.steps if step not in reached]
     if left:
@@ -138,11 +141,16 @@ def occupied(job: Job) -> list[Obstacle]:
 
 
 def shared_out(
-    job: Job, structure: Structure, steps: Sequence[StepOf], number: int
+    job: Job, structure: Structure, steps: Sequence[StepOf], others: Set[StepOf], number: int
 ) -> tuple[StepOf, ...]:
-    """The steps as an arm prefers them: level by level from its end of the structure, so that the
-    other arm, which begins at the other end, is far away; as they are where blocks lean or are
-    taken away."""
+    """The steps as an arm prefers them: level by level, what the other arm cannot do before the
+    rest, so that neither has much left when the other one is done; and from its end of the
+    structure, so that the other arm, which begins at the other end, is far away. As they are where
+    blocks lean or are taken away.
+
+    Args:
+        others: what the other arm can do.
+    """
     if structure.leans or any(step.remove for step in steps):
         return tuple(steps)
     where = np.array([piece.target for piece in job.pieces])
@@ -153,9 +161,9 @@ def shared_out(
         along = -along
     way = -1.0 if number else 1.0
 
-    def key(step: StepOf) -> tuple[float, float]:
+    def key(step: StepOf) -> tuple[float, bool, float]:
         level = round(float(job.pieces[step.block].extent[0][2]), 4)
-        return level, round(way * float(where[step.block, :2] @ along), 6)
+        return level, step in others, round(way * float(where[step.block, :2] @ along), 6)
 
     return tuple(sorted(steps, key=key))
 

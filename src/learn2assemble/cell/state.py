@@ -108,7 +108,7 @@ class Choice:
     def state(self) -> dict[str, Any]:
         """What a file says of it, with what came of the last attempt."""
         return {
-            "done": dataclasses.asdict(self.done[-1]),
+            "done": dataclasses.asdict(self.done[-1]) if self.done else None,
             "accepted": sorted(self.accepted),
             "beside": self.world.beside.tolist(),
             "home": sorted(self.world.home),

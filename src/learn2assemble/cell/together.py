@@ -11,21 +11,23 @@ import itertools
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Generic, Protocol, TypeVar
+from dataclasses import replace
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from learn2assemble.cell.building import Building, Prepared
-from learn2assemble.cell.carry_out import setup_of
+from learn2assemble.cell.carry_out import key_of, setup_of
 from learn2assemble.cell.crew import Member
 from learn2assemble.cell.pair import Pair, gather, lower_beside
 from learn2assemble.cell.report import Attempted, Witness, Worked, carried_out, words_of
-from learn2assemble.cell.state import Action, Done
+from learn2assemble.cell.shared_cell import SharedCell
+from learn2assemble.cell.shared_journal import SharedJournal, Turn, take_up
+from learn2assemble.cell.state import Action
 from learn2assemble.cell.traffic import ArmInTraffic, Route, Traffic, route_of
 from learn2assemble.cell.workcell import Progress, Workcell
 from learn2assemble.cell.world import STANDING, STOCK, rows_of
-from learn2assemble.motion.plant import Plant, PlantError, Readings, standing
+from learn2assemble.motion.plant import Plant, PlantError, standing
 from learn2assemble.motion.record import RATE, BuildRecord
 from learn2assemble.motion.recorder import StepMotion
 from learn2assemble.motion.setup import Setup, open_plant
@@ -44,32 +46,6 @@ PATIENCE, SOON = 600, 20
 """So often, before it counts as stuck while the other arm is at work, and where that has ended."""
 
 
-class Turns(Protocol):
-    """Lets work of several arms run side by side on one clock."""
-
-    def run(self, jobs: Sequence[Callable[[], None]]) -> Any:
-        """Until all of them are done."""
-        ...
-
-
-class SharedCell(Protocol):
-    """Plants of several arms in one world."""
-
-    @property
-    def plants(self) -> Sequence[Plant]:
-        """One of each arm."""
-        ...
-
-    @property
-    def clock(self) -> Turns:
-        """The time they share."""
-        ...
-
-    def sense(self) -> Readings:
-        """What is sensed now, with the first arm."""
-        ...
-
-
 Cell = TypeVar("Cell", bound=SharedCell)
 
 
@@ -86,7 +62,7 @@ def build_together(
 
     Args:
         members: the arms, see :func:`~.team.set_up_team`.
-        workcell: how they build.
+        workcell: how they build; where its file exists, the build goes on from that.
         joint: width of a vertical joint [m].
         opened: see :class:`Together`; by default the simulated cell.
 
@@ -94,7 +70,11 @@ def build_together(
         InputError: as :func:`gather`.
     """
     started = time.perf_counter()
-    both = Together(gather(plan, members, workcell, joint), opened or simulated)
+    crew = gather(plan, members, workcell, joint)
+    journal = None
+    if workcell.log is not None:
+        journal = SharedJournal(workcell.log, f"{key_of(plan, workcell)} {_who(crew)}")
+    both = Together(crew, opened or simulated, journal)
     reason = both.run(progress)
     took = time.perf_counter() - started
     turns = sorted(both.turns, key=lambda turn: turn.end)
@@ -116,20 +96,20 @@ def _worker(
     return Worked(Building(found, workcell, plant, words, witness=witness), workcell, witness, name)
 
 
+def _who(crew: Pair) -> str:
+    """Arms and where they stand, in words that are the same for the same ones."""
+    arms = (one.job.arm for one in crew.found)
+    told = [(one.name, one.tool_name, one.base_position.tolist(), one.base_yaw) for one in arms]
+    return repr((crew.names, told))
+
+
+def _other(before: Sequence[int], now: Sequence[int]) -> set[int]:
+    """Pieces that are in another state now, or new."""
+    return {k for k, state in enumerate(now) if list(before[k : k + 1]) != [state]}
+
+
 def _nothing() -> None:
     """What is called where nobody has asked for more."""
-
-
-@dataclass
-class Turn:
-    """An attempt in the time line of a build by two arms."""
-
-    arm: int
-    done: Done
-    begin: float
-    """[s]"""
-    end: float
-    """[s]"""
 
 
 class Together(Generic[Cell]):
@@ -139,16 +119,28 @@ class Together(Generic[Cell]):
         crew: of :func:`gather`.
         opened: opens the cell that is described, with the plants of both arms; of a simulation
             :class:`~learn2assemble.simulation.plant.DynamicPlant`.
+        journal: what is kept of it; where there is something, the build goes on from that.
+
+    Raises:
+        InputError: for a journal of another build, or one that cannot be used.
     """
 
-    def __init__(self, crew: Pair, opened: Callable[[Setup], Cell]) -> None:
+    def __init__(
+        self,
+        crew: Pair,
+        opened: Callable[[Setup], Cell],
+        journal: SharedJournal | None = None,
+    ) -> None:
         first, second = (one.job.arm for one in crew.found)
         job = crew.found[0].job
         own = replace(job, obstacles=tuple(one for one in job.obstacles if not one.arm))
         setup = setup_of(own, crew.workcells[0])._replace(others=(second,))
         self.plant, self.traffic = opened(setup), Traffic((first, second))
-        self.arms = tuple(
-            ArmInTraffic(self.plant.plants[who], self.traffic, who) for who in range(2)
+        self.journal, kept = journal, [] if journal is None else journal.read(self.plant)
+        mine, other = self.plant.plants
+        self.arms = (
+            ArmInTraffic(mine, self.traffic, 0, other),
+            ArmInTraffic(other, self.traffic, 1, mine),
         )
         self.worked = tuple(
             _worker(*one, Witness(self.plant)) for one in zip(*crew, self.arms, strict=True)
@@ -165,8 +157,9 @@ class Together(Generic[Cell]):
         """Blocks that each arm could not even fetch before those that the other one moves."""
         self.after: list[Route | None] = [None, None]
         """Of the other arm, where an arm fetches a block that comes after that."""
-        self.assumes = [False, False]
-        """Whether an arm takes the block of the other one to stand already, while it chooses."""
+        self.assumes: list[np.ndarray | None] = [None, None]
+        """While an arm takes the block of the other one to stand already, where that was before,
+        float64[7]."""
         self.under = lower_beside(job) if not crew.found[0].structure.leans else {}
         """By piece, those that come before it, see :func:`lower_beside`; as planned where blocks
         lean."""
@@ -179,6 +172,11 @@ class Together(Generic[Cell]):
         """Blocks that an arm moved when its plant ended that."""
         self.working = [True, True]
         self.reasons: list[str | None] = [None, None]
+        self.stops: list[str] = []
+        """Why plants have ended what an arm did."""
+        self._resumed = bool(kept)
+        if kept:
+            self._take_up(kept)
 
     @property
     def seconds(self) -> float:
@@ -198,11 +196,13 @@ class Together(Generic[Cell]):
 
     def run(self, progress: Progress = lambda text: None) -> str | None:
         """Until everything is done; why not, in words, where it cannot be."""
-        self.begun = self.plant.sense().time
+        if not self._resumed:
+            self.begun = self.plant.sense().time
         self.plant.clock.run([lambda who=who: self._work(who, progress) for who in range(2)])
         if self.complete:
             return None
-        return next((why for why in self.reasons if why), "neither arm can go on")
+        # Where an arm was stopped, that is why the other one could not go on.
+        return next((why for why in (*self.stops, *self.reasons) if why), "neither arm can go on")
 
     # ------------------------------------------------------------ one arm
 
@@ -213,6 +213,7 @@ class Together(Generic[Cell]):
             self.reasons[who] = self._attempts(who, progress)
         except PlantError as error:
             self.reasons[who], route = str(error), self.traffic.lanes[who].route
+            self.stops.append(str(error))
             self.traffic.stopped(who)
         finally:
             self.working[who] = False
@@ -254,51 +255,87 @@ class Together(Generic[Cell]):
         """One attempt; False where it did not begin."""
         building, world = self.buildings[who], self.buildings[who].world
         before, begin = list(world.state), building.plant.sense().time
-        if self.assumes[who]:
+        if self.assumes[who] is not None:
             before[self.moves[1 - who]] = STOCK
+        elif self._expects(who):
+            # Whatever comes of it, its ways are to be free.
+            self._assume(who)
+            building.chosen = lambda: self._forget(who)
         building.stood = self._stood(who, begin)
-        self.picks[who] = action.block
+        self.picks[who], count = action.block, len(building.known.done)
         try:
             acted = building.act(action)
-        finally:
+        except PlantError:
             self.picks[who] = None
+            self._forget(who)
+            if len(building.known.done) > count:
+                # It was ended, and what came of it is known as far as that can be.
+                self._over(who, before, begin, self.arms[1 - who].sense().time)
+            raise
+        self.picks[who] = None
+        if self.after[who] is None:
+            self._forget(who)
+            building.chosen = _nothing
         self.traffic.over(who, acted and building.world.state[self.moves[who]] == STANDING)
         if not acted:
+            # A block that lay somewhere may have been replaced.
+            if changed := _other(before, world.state):
+                self._tell(who, changed)
             return False
-        last, end = building.known.done[-1], building.plant.sense().time
-        self.turns.append(Turn(who, last, begin, end))
-        self._changed(who)
-        self._tell(who, {k for k, state in enumerate(before) if world.state[k] != state})
+        self._over(who, before, begin, building.plant.sense().time)
+        last = building.known.done[-1]
         left = sum(not building.known.satisfied(step) for step in building.known.order)
         text = f"{self.worked[who].name}: {last.what} {world.pieces[action.block].id}: "
         text += f"{last.outcome}{': ' + last.detail if last.detail else ''}, {left} steps left"
         progress(Detail(text) if last.outcome == Outcome.REACHED.label else text)
         return True
 
+    def _over(self, who: int, before: list[int], begin: float, end: float) -> None:
+        """An attempt is over.
+
+        Args:
+            before: states of all pieces before it.
+            begin: when it began [s], ...
+            end: ... and ended.
+        """
+        building = self.buildings[who]
+        turn = Turn(who, building.known.done[-1], begin, end)
+        self.turns.append(turn)
+        self._changed(who)
+        self._tell(who, _other(before, building.world.state))
+        if self.journal is not None:
+            self.journal.append(turn, self.begun, self.buildings, self.plant, self.picks)
+
+    def _take_up(self, kept: list[dict[str, Any]]) -> None:
+        """Go on from what is kept of the build."""
+        self.turns, self.begun = take_up(kept, self.buildings), kept[-1]["begun"]
+        for who, building in enumerate(self.buildings):
+            self.traffic.stands(who, building.joints, False)
+            building._look()
+            taken = building.presented()
+            for k in taken:
+                building.hand_back(k)
+            self._tell(who, set(taken))
+
     def _fetch(self, who: int, progress: Progress) -> bool:
         """An attempt with a block that comes after the one that the other arm moves, which is taken
         to stand already while that is chosen; False where there is none."""
-        building, known, first = self.buildings[who], self.buildings[who].known, self.moves[1 - who]
-        route, world, tried = self.traffic.other(who).route, building.world, self.behind[who]
-        if route is None or first in self.lost or world.state[first] != STOCK:
+        building, known = self.buildings[who], self.buildings[who].known
+        route, tried = self.traffic.other(who).route, self.behind[who]
+        if not self._expects(who) or building.world.spread.any():
+            # Nothing comes, or where it is to stand is not exactly where it will.
             return False
-        if world.spread.any():
-            # Where it is to stand is not exactly where it will.
-            return False
-        hidden, kept = world.pose[first].copy(), (known.postponed, known.refused)
+        kept = known.postponed, known.refused
 
         def restore() -> None:
-            if not self.assumes[who]:
-                return
-            self.assumes[who] = False
-            known.elsewhere, (known.postponed, known.refused) = self._elsewhere(who), kept
-            world.pose[first], world.state[first] = hidden, STOCK
+            if self.assumes[who] is not None:
+                self._forget(who)
+                known.elsewhere, (known.postponed, known.refused) = self._elsewhere(who), kept
 
         building.chosen = restore
         try:
             while self.traffic.other(who).route is route:
-                self.assumes[who] = True
-                world.pose[first], world.state[first] = world.target(first), STANDING
+                self._assume(who)
                 known.elsewhere, known.postponed = set(self.lost), set(tried)
                 known.refused, known.later = {}, self._later(who)
                 action, fails = known.choose(), known.fails.copy()
@@ -314,6 +351,26 @@ class Together(Generic[Cell]):
         finally:
             restore()
             building.chosen, self.after[who] = _nothing, None
+
+    def _expects(self, who: int) -> bool:
+        """Whether the other arm is about to place a block that comes from its magazine."""
+        first = self.moves[1 - who]
+        stock = self.buildings[who].world.state[first] == STOCK
+        return self.traffic.other(who).route is not None and first not in self.lost and stock
+
+    def _assume(self, who: int) -> None:
+        """An arm takes the block that the other one moves to stand already."""
+        world, first = self.buildings[who].world, self.moves[1 - who]
+        if self.assumes[who] is None:
+            self.assumes[who] = world.pose[first].copy()
+        world.pose[first], world.state[first] = world.target(first), STANDING
+
+    def _forget(self, who: int) -> None:
+        """It does not any more."""
+        world, first, hidden = self.buildings[who].world, self.moves[1 - who], self.assumes[who]
+        if hidden is not None:
+            self.assumes[who] = None
+            world.pose[first], world.state[first] = hidden, STOCK
 
     def _stood(self, who: int, now: float) -> float:
         """So long an arm has stood [s]: its record is on the clock of both, and tells what it did
@@ -399,7 +456,7 @@ class Together(Generic[Cell]):
     def _tell(self, who: int, changed: set[int]) -> None:
         """Tell the other arm what came of an attempt."""
         mine, other = self.buildings[who], self.buildings[1 - who]
-        if self.assumes[1 - who]:
+        if self.assumes[1 - who] is not None:
             other.chosen()
         while len(other.world.pieces) < len(mine.world.pieces):
             other.recording.replace(mine.recording.like[len(other.recording.like)])

@@ -2,13 +2,15 @@
 for the other for ever.
 
 An attempt is announced as *legs*, each with the space it sweeps. While an arm is on a leg, all of
-what that sweeps is its own, wherever on it the arm is: what the other arm may do does not depend on
-when something happens, and an arm that is stopped leaves the other one safe. An arm may begin a leg
-if that is clear of what the other arm is on, and if both can come to the end of what they announced
-afterwards, one leg at a time. That is so before every leg, so one of the two can always go on.
+what is left of that is its own: nothing depends on when something will happen, and an arm that is
+stopped leaves the other one safe. What it is seen to have passed is free again, as no arm goes back
+on a leg without asking. An arm may begin a leg if that is clear of what the other arm is on, and if
+both can come to the end of what they announced afterwards, one leg at a time. That is so before
+every leg, so one of the two can always go on.
 
 An arm whose block comes after the one that the other arm moves may fetch it meanwhile: it announces
-a route *behind* that of the other arm, and waits before it crosses until that is over.
+a route *behind* that of the other arm, and waits before it crosses until that has let go of its
+block where it was to place it, or is over.
 """
 
 from __future__ import annotations
@@ -50,7 +52,10 @@ straight line between two that are left."""
 IN_THE_WAY = "the other arm is in the way"
 NOT_PLACED = "the block that comes before it was not placed"
 BEHIND = ("cross", "place")
-"""Stages that begin only when what they are behind is over."""
+"""Stages that begin only when the block that they are behind is placed."""
+PLACED = 0.005
+"""An arm lets go of its block in its place where it is so near to where its way down was to end
+[m]."""
 
 
 class Leg(NamedTuple):
@@ -78,7 +83,9 @@ class Lane:
 
     arm: Arm
     here: Sweep
-    """Where it stands, or the leg it is on."""
+    """Where it stands, or what is left of the leg it is on."""
+    moving: bool = False
+    """Whether it is on a leg."""
     route: Route | None = None
     ahead: tuple[Leg, ...] = ()
     """What is left of its route."""
@@ -92,9 +99,15 @@ class Lane:
     refused: int = -1
     """Count of changes at which it was told to wait."""
     behind: Route | None = None
-    """Of the other arm: before that is over this one does not cross."""
+    """Of the other arm: before its block is placed this one does not cross."""
+    after: Route | None = None
+    """Of the other arm: its own block comes after that one, whether that is placed or not."""
+    placed: bool = False
+    """Whether it has let go of its block in its place."""
     in_vain: bool = False
     """Whether that is over and its block is not in its place."""
+    tries: tuple[Motion, bool, Sweep] | None = None
+    """The motion that it was told to wait with, whether it holds something, and what it sweeps."""
     capsules: Capsules = field(init=False)
 
     def __post_init__(self) -> None:
@@ -156,9 +169,26 @@ class Traffic:
             return False
         lane = self.lanes[who]
         lane.route, lane.ahead, lane.on_route, lane.stage = route, route.legs, True, ""
-        lane.behind, lane.in_vain = self.other(who).route if behind else None, False
+        other = self.other(who)
+        lane.after, lane.in_vain = other.route if behind else None, False
+        lane.behind = None if other.placed else lane.after
         self.changes += 1
         return True
+
+    def lets_go(self, who: int) -> None:
+        """An arm has let go of what it held; where that is its block in its place, whoever waits
+        for it may go on."""
+        lane, other = self.lanes[who], self.other(who)
+        down = (
+            [leg.swept.end for leg in lane.route.legs if leg.stage == "place"] if lane.route else []
+        )
+        for end in down:
+            if end.lines.shape == lane.here.end.lines.shape:
+                off = np.linalg.norm(end.lines - lane.here.end.lines, axis=3).max()
+                lane.placed = lane.placed or bool(off < PLACED)
+        if lane.placed and other.behind is lane.route:
+            other.behind = None
+            self.changes += 1
 
     def over(self, who: int, placed: bool = True) -> None:
         """What an arm announced is over.
@@ -176,13 +206,13 @@ class Traffic:
         holds."""
         lane = self.lanes[who]
         self._over(who, placed=False)
-        lane.route, lane.ahead, lane.on_route = None, (), False
+        lane.route, lane.ahead, lane.on_route, lane.moving = None, (), False, False
         self.changes += 1
 
     def _over(self, who: int, placed: bool) -> None:
         """Whoever waits for it may go on."""
         lane, other = self.lanes[who], self.other(who)
-        lane.behind, lane.in_vain = None, False
+        lane.behind, lane.after, lane.in_vain, lane.placed = None, None, False, False
         if lane.route is not None and other.behind is lane.route:
             other.behind, other.in_vain = None, not placed
 
@@ -197,7 +227,7 @@ class Traffic:
         if lane.behind is not None and motion.stage in BEHIND:
             lane.refused = self.changes
             return False
-        swept = lane.swept(np.vstack([motion.joints[:-1:EVERY], motion.joints[-1:]]))
+        swept = self._of(lane, motion)
         ahead, on_route = lane.ahead, lane.on_route
         stages = [leg.stage for leg in ahead]
         if motion.stage in stages:
@@ -205,6 +235,10 @@ class Traffic:
         elif motion.stage != lane.stage:
             ahead, on_route = (), False
         free = clear(swept, other.here, APART)
+        comes = None if other.placed or (other.after and other.after is lane.route) else other.route
+        if free and comes is not None:
+            # A way may have been found again since it was announced.
+            free = clear(swept, comes.goal, APART)
         if free and on_route:
             first, second = self._waits(who, ahead), self._waits(1 - who, other.ahead)
             free = self._complete(swept.end, ahead, other.here.end, other.ahead, first, second)
@@ -212,13 +246,23 @@ class Traffic:
             lane.refused = self.changes
             return False
         lane.here, lane.ahead, lane.on_route, lane.stage = swept, ahead, on_route, motion.stage
+        lane.moving, lane.tries = True, None
         self.changes += 1
         return True
+
+    def passes(self, who: int, joints: np.ndarray) -> None:
+        """An arm on a leg is at joints float64[n] [rad]: what it has passed is free."""
+        lane = self.lanes[who]
+        if lane.moving:
+            left = lane.here.from_near(lane.swept(joints[None]))
+            if len(left.lines) < len(lane.here.lines):
+                lane.here = left
+                self.changes += 1
 
     def stands(self, who: int, joints: np.ndarray, holding: bool) -> None:
         """An arm stands at joints float64[n] [rad]."""
         lane = self.lanes[who]
-        lane.holding = holding
+        lane.holding, lane.moving = holding, False
         lane.here = lane.swept(joints[None])
         self.changes += 1
 
@@ -231,6 +275,13 @@ class Traffic:
         if other.route is None:
             return True
         return other.refused == self.changes and (lane.on_route or not other.on_route)
+
+    def _of(self, lane: Lane, motion: Motion) -> Sweep:
+        """What a motion sweeps; remembered while an arm waits with it."""
+        if lane.tries is None or lane.tries[0] is not motion or lane.tries[1] != lane.holding:
+            joints = np.vstack([motion.joints[:-1:EVERY], motion.joints[-1:]])
+            lane.tries = motion, lane.holding, lane.swept(joints)
+        return lane.tries[2]
 
     # ------------------------------------------------------------ what follows
 
@@ -291,11 +342,12 @@ class ArmInTraffic(WrappedPlant):
         plant: of the arm.
         traffic: who may.
         who: number of the arm.
+        other: plant of the other arm, which tells where that is.
     """
 
-    def __init__(self, plant: Plant, traffic: Traffic, who: int) -> None:
+    def __init__(self, plant: Plant, traffic: Traffic, who: int, other: Plant) -> None:
         super().__init__(plant)
-        self.traffic, self.who = traffic, who
+        self.traffic, self.who, self.other = traffic, who, other
         self.waited = 0.0
         """For the other arm, all in all [s]."""
 
@@ -331,6 +383,8 @@ class ArmInTraffic(WrappedPlant):
                 lane.behind = None  # It takes its block back.
                 raise Failure(Outcome.UNREACHABLE, motion.stage, IN_THE_WAY)
             report = self.plant.execute(standing(motion.stage, motion.joints[0], PAUSE), (), kept)
+            if self.traffic.other(self.who).moving:
+                self.traffic.passes(1 - self.who, self.other.sense().joints)
             waited.append(report)
             self.waited += report.seconds
             if report.stop != Stop.END:
@@ -340,6 +394,8 @@ class ArmInTraffic(WrappedPlant):
         for told in commands:
             if told.vacuum is False or (told.width is not None and not told.force):
                 holding = False
+        if lane.holding and not holding and motion.stage == "release":
+            self.traffic.lets_go(self.who)
         if moves or holding != lane.holding:
             self.traffic.stands(self.who, report.joints, holding)
         return _joined([*waited, report], done=report.done)

@@ -190,7 +190,7 @@ def _build(options: argparse.Namespace, output: Output) -> int:
     task = is_task(options.design)
     arms = arms_that_build(options.design, options.arm, options.physics)
     video = options.video and arms > 0
-    state = options.out / STATE if arms == 1 and not task else None
+    state = options.out / STATE if arms and not task else None
     if options.resume and (state is None or not state.exists()):
         return _resume_finished(options, output)
     planner = options.planner or (None if options.agent is None or task else "agent")

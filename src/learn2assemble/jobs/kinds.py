@@ -280,7 +280,14 @@ def team_plan(
 
         first = members[0].job.arm
         cell = Workcell(
-            first.name, first.tool_name, site, how.physics, how.seed, how.noise, hands=True
+            first.name,
+            first.tool_name,
+            site,
+            how.physics,
+            how.seed,
+            how.noise,
+            log=how.state,
+            hands=True,
         )
         return build_together(plan, members, cell, joint=joint, progress=progress)
 

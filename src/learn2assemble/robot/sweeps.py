@@ -14,6 +14,9 @@ from learn2assemble.robot.kinematics import get_chain
 
 LENGTH = 0.006
 """No point moves farther between two postures of a sweep that are next to each other [m]."""
+BEFORE = 2
+"""An arm that strays from its way by less than half a :data:`LENGTH` is not farther back on it than
+so many postures before the one that looks most like it."""
 
 
 class Sweep(NamedTuple):
@@ -36,6 +39,17 @@ class Sweep(NamedTuple):
     def begin(self) -> Sweep:
         """Standing at its beginning."""
         return Sweep(self.lines[:1], self.radius, self.way[:1])
+
+    def from_near(self, joints: Sweep) -> Sweep:
+        """What is left of it for an arm that is near one of its postures: all from
+        :data:`BEFORE` postures before that on.
+
+        Args:
+            joints: the arm, standing there, with the same capsules.
+        """
+        off = np.linalg.norm(self.lines - joints.lines[-1], axis=3).max((1, 2))
+        first = max(int(off.argmin()) - BEFORE, 0)
+        return Sweep(self.lines[first:], self.radius, self.way[first:])
 
 
 def sweep(arm: Arm, capsules: Capsules, joints: np.ndarray) -> Sweep:

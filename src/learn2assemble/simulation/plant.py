@@ -119,14 +119,18 @@ class DynamicPlant(DynamicWorld):
             "joints": sims[0].joints.tolist(),
             "width": float(sims[0].width),
             "steps": self.simulated.steps,
+            "held": [name for name in (one.held() for one in self.plants) if name],
         }
         if self.setup.others:
             more["others"] = [[sim.joints.tolist(), float(sim.width)] for sim in sims[1:]]
         return super().state() | more
 
     def restore(self, state: dict[str, Any]) -> None:
-        """See :class:`SimulatedCell`."""
+        """See :class:`SimulatedCell`; what was in a hand has been taken out of it, which lets go
+        when nobody tells it to hold."""
         super().restore(state)
+        for name in state["held"]:
+            self.things.pop(name)
         arms = [(state["joints"], state["width"]), *state.get("others", ())]
         joints, widths = zip(*arms, strict=True)
         self._begin([np.array(q) for q in joints], list(widths), state["steps"])
