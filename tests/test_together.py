@@ -16,7 +16,8 @@ import pytest
 import learn2assemble as l2a
 from l2a_lab.arm_distances import MOMENTS, WatchedCell
 from l2a_lab.shapes import wall
-from l2a_lab.two_arms import EIGHT, names, summary
+from l2a_lab.two_arms import ARMS as ARM_NAMES
+from l2a_lab.two_arms import EIGHT, SETS, names, summary
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.pair import BESIDE, HAND, Pair, gather, lower_beside
 from learn2assemble.cell.site import Site
@@ -25,6 +26,7 @@ from learn2assemble.cell.team import set_up_team
 from learn2assemble.cell.together import Together
 from learn2assemble.cell.traffic import APART, ArmInTraffic, Leg, Route, Traffic
 from learn2assemble.cell.workcell import Workcell
+from learn2assemble.cell.world import MISSING
 from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
@@ -356,7 +358,11 @@ def test_an_arm_that_is_stopped_leaves_the_other_one_safe(crew: Pair) -> None:
     assert both.reasons[0] == why
     held = mine.held()
     assert held is not None
-    assert both.lost == {both.buildings[1].world.names.index(held)}
+    # The other one knows that it is none of the plan any more, and does not look for it.
+    world, like = both.buildings[1].world, both.buildings[1].recording.like
+    spare = world.names.index(held)
+    assert both.lost == {like[spare - len(crew.found[0].job.pieces)]}
+    assert world.state[spare] == MISSING
     # The other one ends with a reason of its own, at rest.
     other = both.plant.plants[1]
     assert both.reasons[1]
@@ -382,6 +388,8 @@ def test_two_arms_are_measured_beside_the_faster_one() -> None:
         **{f"eight/d/{who}": stuck for who in ("ur5e", "panda")},
         "eight/d/both": one(5.0),
         "eight/e/both": stuck,
+        "stopped/a/0": {"status": "complete", "other_safe": True},
+        "stopped/a/1": {"status": "incomplete", "other_safe": True},
     }
     rows = {what: got for what, _, got in summary(entries)}
     assert rows == {
@@ -392,9 +400,10 @@ def test_two_arms_are_measured_beside_the_faster_one() -> None:
         "e": "refused (why)",
         "two arms over one, others": "0.75 mean of 1",
         "two arms over one, eight": "0.25 mean of 1",
+        "one arm stopped: other one safe, resumed and complete": "2 of 2, 1 of 2",
     }
     assert len(EIGHT) == 8
-    assert {name.split("/")[2] for name in names()} == {"ur5e", "panda", "both"}
+    assert {n.split("/")[2] for n in names() if n.split("/")[0] in SETS} == {*ARM_NAMES, "both"}
 
 
 # ---------------------------------------------------------------- from the outside

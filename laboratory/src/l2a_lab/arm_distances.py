@@ -188,10 +188,13 @@ class WatchedCell(DynamicPlant):
         _library()
         super().__init__(setup)
         self.moments: list[Moment] = []
+        self.carried: dict[str, Shape] = {}
+        """All that ever was in a hand; some of it may be gone."""
 
     def _advance(self, moving: frozenset[int]) -> None:
         super()._advance(moving)
         state, held = self.simulated, [one.held() for one in self.plants]
+        self.carried |= {name: self.things[name].kind.shape for name in held if name}
         self.moments.append(
             Moment(
                 state.data.qpos[: state.world.pose].copy(),
@@ -203,4 +206,4 @@ class WatchedCell(DynamicPlant):
         """The least distance of the arms at so many moments, all different, or at all of them."""
         number = min(count, len(self.moments))
         drawn = np.random.default_rng(seed).choice(len(self.moments), number, replace=False)
-        return ArmDistances(self.arms, self.shapes()).least([self.moments[k] for k in drawn])
+        return ArmDistances(self.arms, self.carried).least([self.moments[k] for k in drawn])

@@ -198,9 +198,9 @@ class Choice:
         """Whether a block may be placed: everything stands then, whether what another arm is about
         to place is there or not."""
         with_it = standing | {block}
-        return all(
-            self.structure.stands(frozenset(state)) for state in (with_it, with_it | self.elsewhere)
-        )
+        # What is only put aside comes to no place.
+        coming = {k for k in self.elsewhere if k < len(self.job.pieces)}
+        return all(self.structure.stands(frozenset(state)) for state in (with_it, with_it | coming))
 
     def _left(self, block: int, what: str) -> int:
         return 3 * TRIES - self.fails[block, what]

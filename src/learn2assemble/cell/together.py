@@ -234,10 +234,12 @@ class Together(Generic[Cell]):
                 idle = 0
                 continue
             if isinstance(action, Action):
+                # What has to be put right first is chosen though the other arm is in its way.
+                again = action.block in known.postponed
                 if self._act(who, action, progress):
                     idle = 0
                     continue
-                if action.block in known.postponed or action.block in known.refused:
+                if not again and action.block in known.postponed | set(known.refused):
                     continue
             # Perhaps what the other arm does changes that.
             why = action if isinstance(action, str) else "no attempt could begin"

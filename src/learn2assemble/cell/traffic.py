@@ -104,6 +104,8 @@ class Lane:
     """Of the other arm: its own block comes after that one, whether that is placed or not."""
     placed: bool = False
     """Whether it has let go of its block in its place."""
+    left: str | None = None
+    """Name of the block that it moved when it was stopped."""
     in_vain: bool = False
     """Whether that is over and its block is not in its place."""
     tries: tuple[Motion, bool, Sweep] | None = None
@@ -206,6 +208,7 @@ class Traffic:
         holds."""
         lane = self.lanes[who]
         self._over(who, placed=False)
+        lane.left = lane.route.block if lane.route is not None else None
         lane.route, lane.ahead, lane.on_route, lane.moving = None, (), False, False
         self.changes += 1
 
@@ -352,11 +355,12 @@ class ArmInTraffic(WrappedPlant):
         """For the other arm, all in all [s]."""
 
     def sense(self) -> Readings:
-        """What is sensed, but what the other arm moves."""
-        found, route = self.plant.sense(), self.traffic.other(self.who).route
-        if route is None:
+        """What is sensed, but what the other arm moves, or moved when it was stopped."""
+        found, other = self.plant.sense(), self.traffic.other(self.who)
+        name = other.left if other.route is None else other.route.block
+        if name is None:
             return found
-        return found._replace(blocks=tuple(b for b in found.blocks if b.block != route.block))
+        return found._replace(blocks=tuple(b for b in found.blocks if b.block != name))
 
     def execute(
         self,

@@ -120,7 +120,10 @@ class Playback:
         """The side of the structure on which the first arm stands: angle [rad] about z, 0 for -x;
         whole steps of 15 degrees."""
         after = self.record.steps[-1].after
-        away = self.arms[0].shape.chain.offset[0, :2] - after[after[:, 2] > 0, :2].mean(0)
+        there = after[after[:, 2] > 0, :2]
+        # Nothing may stand when a build was ended.
+        middle = there.mean(0) if len(there) else np.zeros(2)
+        away = self.arms[0].shape.chain.offset[0, :2] - middle
         step = math.radians(15)
         return step * round(math.atan2(-away[1], -away[0]) / step)
 
