@@ -97,12 +97,21 @@ def objects_batch_actions_per_s(seconds: float) -> float:
 
 def static_single_steps_per_s(seconds: float) -> float:
     """Single environment through Gymnasium, random legal actions, resets included."""
+    return _steps("flat", seconds)
+
+
+def placements_single_steps_per_s(seconds: float) -> float:
+    """The same with one action for every distinct placement."""
+    return _steps("placements", seconds)
+
+
+def _steps(actions: str, seconds: float) -> float:
     with extra("gymnasium", "learn"):
         import gymnasium
 
     from learn2assemble.envs import env_id
 
-    env = gymnasium.make(env_id(TASK))
+    env = gymnasium.make(env_id(TASK), actions=actions)
     rng = np.random.default_rng(0)
     _, info = env.reset(seed=0)
 
@@ -231,6 +240,7 @@ def _gradient_samples(config: str, seconds: float) -> float:
 MEASUREMENTS: dict[str, Callable[[float], float]] = {
     "static_batch_actions_per_s": static_batch_actions_per_s,
     "static_single_steps_per_s": static_single_steps_per_s,
+    "placements_single_steps_per_s": placements_single_steps_per_s,
     "rigid_actions_per_s": rigid_actions_per_s,
     "kinematic_actions_per_s": kinematic_actions_per_s,
     "dynamic_move_s": dynamic_move_s,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from learn2assemble.tasks.graph.features import node_offset
+from learn2assemble.tasks.graph.features import Graph, node_offset
 from learn2assemble.tasks.graph.placements import distinct_placements
 from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.task import Task
@@ -73,6 +73,32 @@ def _fill(num_vertices, num_placed, num_blocks, terminated, allowed, mask):
                     ]
 
 
+@njit(cache=True)
+def _middles(cells, members, count, out):
+    """Middle of the cells that every placement fills; members are numbers of cells, -1 for none."""
+    for row in range(len(count)):
+        for n in range(count[row]):
+            filled = 0
+            for member in members[row, n]:
+                if member >= 0:
+                    filled += 1
+                    for axis in range(3):
+                        out[row, n, axis] += cells[row, member, axis]
+            for axis in range(3):
+                out[row, n, axis] /= max(filled, 1)
+
+
+@njit(cache=True)
+def _named(local, count, terminated, allowed, mask):
+    """Which placements are allowed, of those that are named by local indices."""
+    last = allowed.shape[1] - 1
+    for row in range(len(count)):
+        if not terminated[row]:
+            for n in range(count[row]):
+                block, reference, way = local[row, n]
+                mask[row, n] = allowed[row, min(block, last), reference, way]
+
+
 def resolve_actions(task: Task, state: State, flat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Flat actions to what :meth:`Simulator.step` wants, clipped like the published code.
 
@@ -129,14 +155,20 @@ class FlatActions:
     def __init__(self, simulator: Simulator) -> None:
         self.task, self.size = simulator.task, num_flat_actions(simulator.task)
 
+    def look(self, graph: Graph) -> None:
+        """The states that everything else is asked of have this graph."""
+
     def resolve(self, state: State, numbers: np.ndarray) -> tuple[np.ndarray, ...]:
         """Actions int64[B, 3] for :meth:`Simulator.step`; bool[B], which were clipped; and
         bool[B], which are refused: none."""
         actions, clipped = resolve_actions(self.task, state, numbers)
         return actions, clipped, np.zeros(len(numbers), np.bool_)
 
-    def mask(self, state: State, allowed: np.ndarray) -> np.ndarray:
-        """bool[B, size]; see :func:`expand_mask`."""
+    def mask(self, state: State, allowed: np.ndarray | None = None) -> np.ndarray:
+        """bool[B, size]; see :func:`expand_mask`. All that is legal without ``allowed``."""
+        if allowed is None:
+            shape = (state.batch_size, self.task.max_blocks, self.task.num_actions)
+            allowed = np.ones(shape, np.bool_)
         return expand_mask(self.task, state, allowed)
 
 
@@ -151,44 +183,37 @@ class PlacementActions:
     """
 
     def __init__(self, simulator: Simulator) -> None:
-        self.simulator, self.size = simulator, num_placement_actions(simulator.task)
+        self.spec, self.size = simulator.action_spec, num_placement_actions(simulator.task)
 
-    def describe(self, state: State) -> np.ndarray:
+    def look(self, graph: Graph) -> None:
+        """See :meth:`FlatActions.look`: placements are found once for every state."""
+        self._found = distinct_placements(graph, self.spec)
+        local = self._found.action - node_offset(graph)[:, None]
+        self._local = local * self._found.used[..., None]
+
+    def describe(self) -> np.ndarray:
         """float32[B, size, 3]: middle of the cells that every placement fills [m, world]; zeros
         in the padding."""
-        found = distinct_placements(self.simulator.observe(state), self.simulator.action_spec)
-        filled = (found.members >= 0)[..., None]
-        rows = np.arange(len(found.members))[:, None, None]
-        centres = (found.cells[rows, found.members] * filled).sum(2) / np.maximum(filled.sum(2), 1)
-        out = np.zeros((state.batch_size, self.size, 3), np.float32)
-        out[:, : centres.shape[1]] = centres * found.used[..., None]
+        found = self._found
+        out = np.zeros((len(found.count), self.size, 3), np.float32)
+        _middles(found.cells, found.members, found.count, out)
         return out
 
     def resolve(self, state: State, numbers: np.ndarray) -> tuple[np.ndarray, ...]:
         """As :meth:`FlatActions.resolve`; none is clipped, and the padding is refused."""
-        actions, count = self._actions(state)
-        refused = numbers >= count
-        chosen = actions[np.arange(len(numbers)), np.where(refused, 0, numbers)]
+        refused = numbers >= self._found.count
+        chosen = self._local[np.arange(len(numbers)), np.where(refused, 0, numbers)]
         return chosen, np.zeros(len(numbers), np.bool_), refused
 
-    def mask(self, state: State, allowed: np.ndarray) -> np.ndarray:
-        """bool[B, size]; ``allowed`` as in :func:`expand_mask`."""
-        actions, count = self._actions(state)
-        block, reference, way = np.moveaxis(actions, -1, 0)
-        rows = np.arange(state.batch_size)[:, None]
-        named = allowed[:, None] if allowed.ndim == 3 else allowed
-        found = named[rows, np.minimum(block, named.shape[1] - 1), reference, way]
-        offered = np.arange(actions.shape[1]) < count[:, None]
+    def mask(self, state: State, allowed: np.ndarray | None = None) -> np.ndarray:
+        """bool[B, size]; ``allowed`` as in :meth:`FlatActions.mask`."""
         mask = np.zeros((state.batch_size, self.size), np.bool_)
-        mask[:, : actions.shape[1]] = found & offered & ~state.terminated[:, None]
+        if allowed is None:
+            offered = np.where(state.terminated, 0, self._found.count)
+            return np.less(np.arange(self.size), offered[:, None], out=mask)
+        named = allowed[:, None] if allowed.ndim == 3 else allowed
+        _named(self._local, self._found.count, state.terminated, named, mask)
         return mask
-
-    def _actions(self, state: State) -> tuple[np.ndarray, np.ndarray]:
-        """int64[B, P, 3], local indices of every placement, zeros beyond; int64[B], how many."""
-        graph = self.simulator.observe(state)
-        found = distinct_placements(graph, self.simulator.action_spec)
-        local = found.action - node_offset(graph)[:, None]
-        return local * found.used[..., None], found.count
 
 
 ACTION_SPACES = {"flat": FlatActions, "placements": PlacementActions}

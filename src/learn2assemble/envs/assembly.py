@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from learn2assemble.envs.actions import ACTION_SPACES, PlacementActions, num_placement_actions
 from learn2assemble.envs.drawing import draw_image, draw_text
 from learn2assemble.errors import InputError, UnknownNameError, is_whole
-from learn2assemble.tasks.graph.features import NUM_FEATURES, POSITION
+from learn2assemble.tasks.graph.features import NUM_FEATURES, POSITION, Graph
 from learn2assemble.tasks.physics.protocol import Physics, PlacementVerdict
 from learn2assemble.tasks.simulator import Simulator, WorldTransition
 from learn2assemble.tasks.task import Task, get_task
@@ -102,11 +102,14 @@ class _Worlds:
         self._actions = ACTION_SPACES[actions](self.simulator)
         self._physics_mask = physics_mask
         self._started = False
+        self._graph: Graph | None = None
+        """Of the state; None where that has changed since."""
         self._ended = np.zeros(count, np.bool_)
 
     def _begin(self, row: int, rng: np.random.Generator) -> None:
         """Draw a fresh problem into one world."""
         self.simulator.reset(self.state, np.array([row]), rng)
+        self._graph = None
         self._started, self._ended[row] = True, False
 
     def _require_reset(self) -> None:
@@ -115,10 +118,12 @@ class _Worlds:
 
     def _place(self, flat: ArrayLike) -> tuple[WorldTransition, list[dict[str, Any]]]:
         """Step every world that has not ended; what happened, and what infos say of it."""
+        self._look()
         actions, clipped, refused = self._actions.resolve(self.state, self._checked(flat))
         refused &= ~self.state.terminated
         self.state.terminated[refused] = True
         done = self.simulator.step(self.state, actions)
+        self._graph = None
         done.reward[refused], done.terminated[refused] = INVALID, True
         self._ended = done.terminated
         columns = done.verdict, done.success, clipped, refused
@@ -145,17 +150,24 @@ class _Worlds:
             raise InputError("action", array.tolist(), expected)
         return array.astype(np.int64)
 
+    def _look(self) -> Graph:
+        """The graph of the state; what actions mean goes with it."""
+        if self._graph is None:
+            self._graph = self.simulator.observe(self.state)
+            self._actions.look(self._graph)
+        return self._graph
+
     def _observe(self) -> dict[str, np.ndarray]:
-        seen = self.simulator.observe(self.state)._asdict()
+        seen = self._look()._asdict()
         if isinstance(self._actions, PlacementActions):
-            seen["placements"] = self._actions.describe(self.state)
+            seen["placements"] = self._actions.describe()
         return seen
 
     def _legal(self) -> np.ndarray:
         """bool[B, A]: i unplaced, j placed, no padding, world not ended."""
         self._require_reset()
-        shape = (self.state.batch_size, self.task.max_blocks, self.task.num_actions)
-        return self._actions.mask(self.state, np.ones(shape, np.bool_))
+        self._look()
+        return self._actions.mask(self.state)
 
     def _known(self) -> dict[str, np.ndarray]:
         """What infos say of the state, see :class:`AssemblyEnv`; arrays over the worlds."""
