@@ -21,7 +21,7 @@ _WAYS = 12
 """Directions that are tried."""
 _TURNS = 6
 """Places along a way at which a block may turn off it."""
-_ALONG = 1e-6
+_ALONG = 1e-4
 """A direction along a face leaves it, up to this [rad]."""
 _PARALLEL = 1e-6
 """Sine of the angle below which two edges have no normal in common."""
@@ -157,20 +157,24 @@ class FreeWays:
             if self._clearance.meets(block, posts):
                 self._known[key] = False
         if key not in self._known:
-            normals = self._pushing(block, present)
+            normals, faces = self._pushing(block, present)
             ways = LEVEL[(LEVEL @ normals.T > -_ALONG).all(1)] if self.props[block] else LEVEL[:0]
             if block < self.level:
-                ways = np.concatenate([ways_out(normals), ways])
+                # Where corners alone touch, a normal is one of many that could part them.
+                out = ways_out(normals)
+                ways = np.concatenate([out if len(out) else ways_out(normals[faces]), ways])
             self._known[key] = self._clearance.leaves(block, present, ways)
         return self._known[key]
 
-    def _pushing(self, block: int, present: np.ndarray) -> np.ndarray:
-        """float64[n, 3]: normals of the contacts of a block with what is there, towards it."""
+    def _pushing(self, block: int, present: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Normals of the contacts of a block with what is there, towards it (float64[n, 3]), and
+        which of them are of faces (bool[n])."""
         contacts = self.contacts
         mine, other = contacts.a == block, contacts.b == block
         there = np.where(mine, contacts.b, contacts.a)
         live = (mine | other) & ((there < 0) | present[there])
-        return np.where(mine[live, None], -contacts.normal[live], contacts.normal[live])
+        faces = np.diff(contacts.start)[live] >= 3
+        return np.where(mine[live, None], -contacts.normal[live], contacts.normal[live]), faces
 
 
 def ways_out(normals: np.ndarray) -> np.ndarray:

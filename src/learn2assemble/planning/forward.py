@@ -3,9 +3,9 @@
 Each block comes after those it lies on, along a way that is free. A block that does not stand yet
 waits; where every block waits, a hand holds one while the next one comes, or a post is put under
 one, whatever needs the least. What nothing needs any more is let go or taken away at once; props
-that belong to the structure stay until everything stands, or until the block that would close
-their way out has to come. Every state is proven by one of some laws (:mod:`~..statics.laws`), and
-each new block rests without being squeezed in.
+that belong to the structure, and a centring, stay until everything stands, or until the block that
+would close their way out has to come. Every state is proven by one of some laws
+(:mod:`~..statics.laws`), and each new block rests without being squeezed in.
 """
 
 from __future__ import annotations
@@ -91,6 +91,10 @@ class Forward:
             self.end = self.end.change(wait=[-1])
         self.allowed: set[int] = set()
         """Posts that may be used."""
+        self._staying = self.count
+        """Posts before this one stay until all blocks are there."""
+        self._whole = False
+        """Whether these have been waiting to go."""
         self._order = np.argsort(site.rank[: self.count], kind="stable")
         self._under = [
             sorted(
@@ -116,6 +120,20 @@ class Forward:
         self.allowed, self.holds = set(posts), holds
         self._kept.clear()
 
+    def begin_with_posts(self) -> None:
+        """Every post stands there from the first, and stays until all blocks are there.
+
+        Those that could not be taken away then, or that do not stand alone, are left out.
+        """
+        self._staying, state, steps = len(self.site.fixed), self.start, []
+        for p in range(self.count, self._staying):
+            after = state.change(place=[p])
+            free = not self._encloses(p) and self.site.ways.free(p, state.present)
+            if free and self.stands(after, [p]):
+                steps += self._comes(p, state)
+                state = after
+        self.first = Transition(tuple(steps), state)
+
     def learn(self, other: Forward, state: State) -> None:
         """Take over what is known without posts, and go on from a state without them that stands.
 
@@ -137,7 +155,7 @@ class Forward:
     @property
     def patient(self) -> bool:
         """Dead ends are left again and again where something helps."""
-        return bool(self.allowed or self.holds)
+        return bool(self.allowed or self.holds or self._whole)
 
     # ------------------------------------------------------------ states
 
@@ -206,6 +224,8 @@ class Forward:
     def moves(self, last: Transition) -> Iterator[Transition]:
         """What may come next, the least help first."""
         state, ready, waiting, closing = last.state, [], [], []
+        if self._staying > self.count and not self.missing(state)[0]:
+            yield from self._clearing(last)
         for b in self.ready(last):
             if not self.site.ways.free(b, state.present):
                 continue
@@ -240,6 +260,25 @@ class Forward:
             if self.stands(after := state.change(place=[b]), [b]):
                 for step in self._comes(b, state):
                     yield Transition((step,), after, last.gone)
+
+    def _clearing(self, last: Transition) -> Iterator[Transition]:
+        """What stayed until all blocks were there goes, one after the other from outside."""
+        self._whole, state = True, last.state
+        there = np.flatnonzero(state.present[self.count :]) + self.count
+        for p in sorted(there.tolist(), key=lambda p: -self._away(p)):
+            after = state.change(remove=[p])
+            if self.site.ways.free(p, state.present) and self.stands(after, self._on(p, after)):
+                yield Transition((self._goes(p, state),), after, last.gone)
+
+    def _away(self, prop: int) -> float:
+        """How far a post is from the middle of all [m]."""
+        at = np.array([post.block.centroid[:2] for post in self.posts])
+        return round(float(np.linalg.norm(at[prop - self.count] - at.mean(0))), 6)
+
+    def _on(self, prop: int, state: State) -> list[int]:
+        """Blocks that touch a prop."""
+        near, fixed = self.site.near[prop], self.site.fixed
+        return [n for n in near if state.present[n] and not fixed[n]]
 
     def _waiting(self, last: Transition) -> Iterator[Transition]:
         """A wait until mortar holds, where some of it is young."""
@@ -352,6 +391,7 @@ class Forward:
         last = bool(state.present[self.wanted].all())
         some = self.site.prop.copy()
         some[: 0 if last else self.count] = False
+        some[self.count : self._staying] = False
         again = bool(some.any() or state.held.any())
         while again:
             again = False
@@ -383,9 +423,10 @@ class Forward:
             if key in self._kept and not sure:
                 continue
             after = state.change(remove=[p])
-            carried = [n for n in self.site.near[p] if state.present[n] and not self.site.fixed[n]]
             most = None if sure else self.law(state)
-            if self.stands(after, carried, most) and self.site.ways.free(p, state.present):
+            if self.stands(after, self._on(p, state), most) and self.site.ways.free(
+                p, state.present
+            ):
                 steps.append(self._goes(p, state))
                 state = after
                 if sure:

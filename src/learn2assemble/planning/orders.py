@@ -1,9 +1,9 @@
 """The order of given blocks by the law of their joints: dry, or of bricks that clutch.
 
 Dry blocks are put down from below (:mod:`.forward`): without help first, then with hands as far as
-they are there, at last with posts. Of a few blocks the fewest posts are found; of many, those that
-were placed where nothing else helped. Bricks are taken apart (:mod:`.disassembly`). Both are one
-search (:mod:`.sequence`).
+they are there, at last with posts. Of a few blocks the fewest posts are found; of many, a centring
+is tried before posts that are placed where nothing else helps. Bricks are taken apart
+(:mod:`.disassembly`). Both are one search (:mod:`.sequence`).
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
 from learn2assemble.assembly.contacts import Contacts, contact_tolerance, find_contacts
 from learn2assemble.linear_programs import Clock
+from learn2assemble.planning.centring import find_centring
 from learn2assemble.planning.clearance import FreeWays
 from learn2assemble.planning.disassembly import TakingApart
 from learn2assemble.planning.fewest_posts import fewest_posts
 from learn2assemble.planning.forward import BuildingSite, Forward
-from learn2assemble.planning.posts import find_posts
+from learn2assemble.planning.posts import Post, find_posts
 from learn2assemble.planning.sequence import (
     WAIT,
     Doing,
@@ -78,24 +79,30 @@ def find_sequence(
 ) -> Sequenced:
     """Order, supports and proof for dry blocks that are given where they stand."""
     # Where posts could stand takes longer to find than an order that needs none.
-    order = _DryOrder(problem, replace(supports, posts=False), clock, progress)
-    rules = order.rules
-    end, last = rules.end, rules.laws[-1]
-    stands = rules.law(end) is not None
-    found = order.run()
-    for posts in (False, True) if stands else ():
-        if found.complete or clock.left <= 0:
-            break
-        if supports.posts if posts else supports.holds:
-            if posts:
-                plain, order = order, _DryOrder(problem, supports, clock, progress)
-                order.rules.learn(plain.rules, plain.after(found.steps))
-            order.rules.allow(
-                range(order.count, len(order.blocks)) if posts else (), supports.holds
-            )
-            other = order.run()
-            found = other if other.complete or len(other.steps) > len(found.steps) else found
-            found = order.fewest(found) if posts and supports.fewest else found
+    order = plain = _DryOrder(problem, supports, (), clock, progress)
+    end, last = plain.rules.end, plain.rules.laws[-1]
+    stands = plain.rules.law(end) is not None
+    found = plain.run()
+    if stands and supports.holds and not found.complete:
+        plain.rules.allow((), supports.holds)
+        found = max(found, plain.run(), key=plain.worth)
+    before = plain.after(found.steps)
+    for centring in (True, False) if stands and supports.posts else ():
+        posts = plain.posts(centring, before) if not found.complete and clock.left > 0 else ()
+        if not posts:
+            continue
+        helped = _DryOrder(problem, supports, posts, clock, progress)
+        if centring:
+            helped.rules.allow((), supports.holds)
+            helped.rules.begin_with_posts()
+        else:
+            helped.rules.learn(plain.rules, before)
+            helped.rules.allow(range(helped.count, len(helped.blocks)), supports.holds)
+        other = helped.run()
+        if not centring and supports.fewest:
+            other = helped.fewest(other)
+        if helped.worth(other) > order.worth(found):
+            order, found = helped, other
     made = order.sequenced(found)
     if stands:
         return made
@@ -112,7 +119,7 @@ def follow_steps(
     problem: OrderProblem, clock: Clock, progress: Progress = lambda text: None
 ) -> Sequenced:
     """Proof of the steps that an assembly comes with, up to the first state that is not proven."""
-    order = _DryOrder(problem, _NO_SUPPORTS, clock, progress)
+    order = _DryOrder(problem, _NO_SUPPORTS, (), clock, progress)
     index = problem.assembly.index
     steps: list[Doing] = []
     for step in problem.assembly.steps:
@@ -148,14 +155,15 @@ class _DryOrder:
     """The search for an order of dry blocks, at first without supports."""
 
     def __init__(
-        self, problem: OrderProblem, supports: Supports, clock: Clock, progress: Progress
+        self,
+        problem: OrderProblem,
+        supports: Supports,
+        posts: Sequence[Post],
+        clock: Clock,
+        progress: Progress,
     ) -> None:
         given = problem.assembly.blocks
         count, layers = len(given), problem.layers
-        posts = []
-        if supports.posts:
-            lowest = [float(b.vertices[:, 2].min()) for b in given if b.support]
-            posts = find_posts(given, layers[-1].contacts, min(lowest) if lowest else 0.0)
         made = _distinct(given, [post.block for post in posts])
         whole = Assembly((*given, *made), friction=problem.assembly.friction)
         self.blocks, self.count = whole.blocks, count
@@ -165,12 +173,25 @@ class _DryOrder:
             own = own.only((own.b >= count) & (own.a < count))
             layers = tuple(one._replace(contacts=_joined(one.contacts, own)) for one in layers)
         site = site_of(problem, whole, layers, clock)
+        self._contacts = problem.layers[-1].contacts
         self.rules = Forward(replace(site, crew=supports.crew(whole.blocks)), posts)
+
+    def posts(self, centring: bool, state: State) -> list[Post]:
+        """Those that could carry blocks, or a centring below most of what is missing in a state."""
+        given, missing = self.blocks[: self.count], self.rules.wanted & ~state.present
+        lowest = [float(b.vertices[:, 2].min()) for b in given if b.support]
+        ground = min(lowest) if lowest else 0.0
+        if not centring:
+            return find_posts(given, self._contacts, ground)
+        if self.rules.wanted.sum() <= _SMALL:
+            return []
+        found, carried = find_centring(given, self._contacts, ground)
+        return found if 2 * missing[carried].sum() > missing.sum() else []
 
     def run(self) -> _Steps:
         """The first complete order that is found, or the longest one."""
         found = depth_first(self.rules, self.clock, self.progress)
-        steps = [step for move in found.path for step in move.steps]
+        steps = [step for move in (self.rules.first, *found.path) for step in move.steps]
         return _Steps(steps, () if found.complete else self.rules.stuck(found), found.complete)
 
     def fewest(self, found: _Steps) -> _Steps:
@@ -202,6 +223,10 @@ class _DryOrder:
             return Sequenced(blocks, made, "complete")
         reason = self._why(self.after(found.steps).present, found.stuck)
         return Sequenced(blocks, made, "not found", reason, found.stuck)
+
+    def worth(self, found: _Steps) -> tuple[bool, int]:
+        """Larger where an order is complete, or has more blocks at its end."""
+        return found.complete, int(self.after(found.steps).present[: self.count].sum())
 
     def after(self, steps: Sequence[Doing]) -> State:
         """The state that some steps end in."""

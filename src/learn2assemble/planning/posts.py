@@ -30,7 +30,7 @@ _WIDTHS = (0.7, 0.5, 0.35, 0.25)
 seen from above."""
 _LEAST = 0.02
 """Free part of a face that is looked at."""
-_DOWN, _FLAT = -0.1, 0.999
+DOWN, _FLAT = -0.1, 0.999
 """A face looks down, or is a floor for a post, where its normal does so."""
 _SHORTEST = 0.05
 """Of a post, in its width."""
@@ -49,10 +49,13 @@ class Post(NamedTuple):
     block: Block
 
 
-class _Face(NamedTuple):
+class Face(NamedTuple):
+    """Of a block."""
+
     outline: Polygon
     """Seen from above."""
     normal: np.ndarray
+    """float64[3]: unit, outwards."""
     foot: np.ndarray
     """float64[3]: a point of it."""
 
@@ -70,11 +73,11 @@ def find_posts(
     Returns:
         At most three posts a block, of different widths, in the order of the blocks.
     """
-    site = _PostSite(blocks, contacts, ground)
+    site = PostSite(blocks, contacts, ground)
     return [post for k, block in enumerate(blocks) if not block.support for post in site.posts(k)]
 
 
-class _PostSite:
+class PostSite:
     """What is in the way of posts, and what they can stand on."""
 
     def __init__(self, blocks: Sequence[Block], contacts: Contacts, ground: float | None) -> None:
@@ -85,14 +88,20 @@ class _PostSite:
         self._parts: dict[int, Parts] = {}
         self.foot = contacts.points[contacts.start[:-1]]
 
+    def over(self, outline: Polygon) -> list[int]:
+        """Blocks whose boxes are above, below or in a part of the ground."""
+        low, high = np.reshape(outline.bounds, (2, 2))
+        meets = (self.lower[:, :2] < high).all(1) & (self.upper[:, :2] > low).all(1)
+        return np.flatnonzero(meets).tolist()
+
     def posts(self, k: int) -> list[Post]:
         """Those that have room under the free face that is nearest below the centre of a block."""
         middle = shapely.Point(self.blocks[k].centroid[:2])
         free = [
             part
             for face in self.faces[k]
-            if face.normal[2] < _DOWN
-            for part in self._free_parts(k, face)
+            if face.normal[2] < DOWN
+            for part in self.free_parts(k, face)
         ]
         free.sort(key=lambda face: (face.outline.distance(middle), -face.outline.area))
         for face in free:
@@ -101,7 +110,7 @@ class _PostSite:
                 return found
         return []
 
-    def _under(self, k: int, face: _Face, middle: shapely.Point) -> list[Post]:
+    def _under(self, k: int, face: Face, middle: shapely.Point) -> list[Post]:
         ring = shapely.get_coordinates(face.outline.minimum_rotated_rectangle)
         sides = ring[1:3] - ring[:2]
         length = np.linalg.norm(sides, axis=1)
@@ -136,7 +145,7 @@ class _PostSite:
                 extents.append(extent)
         return found
 
-    def _free_parts(self, k: int, face: _Face) -> list[_Face]:
+    def free_parts(self, k: int, face: Face) -> list[Face]:
         """The parts of a face of a block that no other block touches."""
         contacts, size = self.contacts, float((self.upper[k] - self.lower[k]).max())
         own = (contacts.a == k) | (contacts.b == k)
@@ -151,7 +160,7 @@ class _PostSite:
             face._replace(outline=part) for part in parts if part.area > _LEAST * face.outline.area
         ]
 
-    def _prism(self, k: int, face: _Face, square: np.ndarray, name: str) -> Post | None:
+    def _prism(self, k: int, face: Face, square: np.ndarray, name: str) -> Post | None:
         """A post of that outline on the highest floor below it, unless something is in its way."""
         top = face.foot[2] - (square - face.foot[:2]) @ face.normal[:2] / face.normal[2]
         outline = Polygon(square)
@@ -190,19 +199,19 @@ class _PostSite:
         """A post without what reaches above a face of another block that looks down, or None."""
         best = None
         for face in self.faces[other]:
-            if face.normal[2] < _DOWN:
+            if face.normal[2] < DOWN:
                 made = _below(post, face)
                 if made is not None and not self._meets(made, other, depth):
                     best = made if best is None or made.volume > best.volume else best
         return best
 
 
-def _reaches(post: Block, face: _Face, depth: float) -> bool:
+def _reaches(post: Block, face: Face, depth: float) -> bool:
     """Whether some of the top of a post is on a face: at least a triangle of corners."""
     return int((np.abs((post.vertices - face.foot) @ face.normal) < depth).sum()) >= 3
 
 
-def _below(post: Block, plane: _Face) -> Block | None:
+def _below(post: Block, plane: Face) -> Block | None:
     """What of a convex block is outside of a face of another, or None."""
     faces, rim = [], []
     for face in post.faces:
@@ -242,7 +251,7 @@ def _below(post: Block, plane: _Face) -> Block | None:
         return None
 
 
-def _faces(block: Block) -> list[_Face]:
+def _faces(block: Block) -> list[Face]:
     """The faces of a block that are not upright."""
     found = []
     for face in block.faces:
@@ -252,5 +261,5 @@ def _faces(block: Block) -> list[_Face]:
         normal = normal / max(float(np.linalg.norm(normal)), 1e-300)
         outline = Polygon(corners[:, :2])
         if outline.is_valid and outline.area > 0:
-            found.append(_Face(outline, normal, corners.mean(0)))
+            found.append(Face(outline, normal, corners.mean(0)))
     return found
