@@ -966,6 +966,11 @@ BAD = [
         "part of the name",
     ),
     BadCall(
+        "figures of speed over a design",
+        ["measure-speed", "--out", "{d}/design.json"],
+        "a new file, or a result of this command",
+    ),
+    BadCall(
         "figures of two arms over a design",
         ["measure-two-arms", "--out", "{d}/design.json"],
         "a new file, or a result of this command",

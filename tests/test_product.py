@@ -101,6 +101,7 @@ LEARNS = {
     "measure-designs": [],
     "measure-goals": [],
     "measure-sensing": [],
+    "measure-speed": [],
     "measure-structures": [],
     "measure-two-arms": [],
     "replay": ["transitions.jsonl"],
@@ -254,7 +255,7 @@ def test_the_bench_measures_the_product(
         if name.startswith(("learn2assemble.envs", "learn2assemble.tasks.learning.trainer")):
             monkeypatch.delitem(sys.modules, name)
     monkeypatch.setattr(bench, "MEASUREMENTS", {name: bench.MEASUREMENTS[name] for name in names})
-    monkeypatch.setattr(bench, "_rate", lambda step, seconds: step() and 1.0)
+    monkeypatch.setattr(bench, "rate", lambda step, seconds: step() and 1.0)
     assert main(["bench"]) == 0
     told = capsys.readouterr()
     assert "check_s" in told.out

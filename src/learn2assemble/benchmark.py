@@ -1,8 +1,8 @@
 """How fast this machine runs the pieces; each measurement is one function.
 
-Timings are of one core: PyTorch is held to one thread. Ratios within one run are more trustworthy
-than the numbers themselves. What needs an extra that is not installed raises
-:class:`~learn2assemble.errors.MissingExtraError`.
+Timings are seconds of the processor on one core: PyTorch is held to one thread. Ratios within one
+run are more trustworthy than the numbers themselves. What needs an extra that is not installed
+raises :class:`~learn2assemble.errors.MissingExtraError`.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ def _steps(actions: str, seconds: float) -> float:
             _, info = env.reset()
         return 1
 
-    return _rate(step, seconds)
+    return rate(step, seconds)
 
 
 def rigid_actions_per_s(seconds: float) -> float:
@@ -154,7 +154,7 @@ def _placements(simulator: Simulator, seconds: float) -> float:
             simulator.reset(state, np.array([0]), rng)
         return min(len(good), 1)
 
-    return _rate(step, seconds)
+    return rate(step, seconds)
 
 
 def dynamic_move_s(seconds: float) -> float:
@@ -170,7 +170,7 @@ def exact_plan_s(seconds: float) -> float:
     """Blocks, order and proof of a wall of 30 x 2 x 20 cells with a door and a window."""
     wanted, kit = np.ones((30, 2, 20), bool), load_kit("bricks-lintels")
     wanted[5:9, :, :12], wanted[17:23, :, 7:13] = False, False
-    return 1 / _rate(lambda: int(plan_exact(wanted, kit)[0].status == "complete"), seconds)
+    return 1 / rate(lambda: int(plan_exact(wanted, kit)[0].status == "complete"), seconds)
 
 
 def check_s(seconds: float) -> float:
@@ -179,7 +179,7 @@ def check_s(seconds: float) -> float:
     for course, column in np.ndindex(20, 10):
         x, z = 0.2 * column + 0.05 * (course % 2), 0.1 * course
         bricks.append(box_block(f"{course}-{column}", (x, 0, z), (x + 0.2, 0.2, z + 0.1)))
-    return 1 / _rate(lambda: int(check(Assembly(tuple(bricks))).verdict == "stands"), seconds)
+    return 1 / rate(lambda: int(check(Assembly(tuple(bricks))).verdict == "stands"), seconds)
 
 
 def decision_ms(seconds: float) -> float:
@@ -214,7 +214,7 @@ def _decisions(config: str, worlds: int, seconds: float) -> float:
         )
         return worlds
 
-    return _rate(step, seconds)
+    return rate(step, seconds)
 
 
 def _gradient_samples(config: str, seconds: float) -> float:
@@ -234,7 +234,7 @@ def _gradient_samples(config: str, seconds: float) -> float:
         trainer.update()
         return trainer.config.batch_size
 
-    return _rate(step, seconds)
+    return rate(step, seconds)
 
 
 MEASUREMENTS: dict[str, Callable[[float], float]] = {
@@ -276,14 +276,15 @@ def _random_play(simulator: Simulator, batch: int, seconds: float) -> float:
         simulator.observe(state)
         return batch
 
-    return _rate(step, seconds)
+    return rate(step, seconds)
 
 
-def _rate(step: Callable[[], int], seconds: float) -> float:
-    """Units of work a second, after a warm-up."""
+def rate(step: Callable[[], int], seconds: float) -> float:
+    """Units of work that ``step`` counts in a second of the processor, after a warm-up; so what
+    else runs on the machine counts little."""
     for _ in range(3):
         step()
-    done, started = 0, time.perf_counter()
-    while time.perf_counter() - started < seconds:
+    done, started = 0, time.process_time()
+    while (used := time.process_time() - started) < seconds:
         done += step()
-    return done / (time.perf_counter() - started)
+    return done / used

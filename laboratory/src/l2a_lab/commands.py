@@ -455,6 +455,12 @@ _COMMANDS = {
         "measure poses of blocks in depth pictures, lost blocks, and calibrated cameras",
         "l2a-lab measure-sensing --only alone/",
     ),
+    "measure-speed": _figures(
+        "speed",
+        "steps a second beside another library",
+        "measure steps a second of the environments beside jumanji's BinPack (extra speed)",
+        "l2a-lab measure-speed",
+    ),
     "measure-structures": _figures(
         "structures",
         "figures of given blocks",
