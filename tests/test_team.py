@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import runpy
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,9 @@ import pytest
 import learn2assemble as l2a
 from learn2assemble.assembly.blocks import Assembly, box_block
 from learn2assemble.assembly.hands import Hand
+from learn2assemble.cell.crew import APART, ArmCrew
 from learn2assemble.cell.pieces import pieces_of
-from learn2assemble.cell.site import read_site
+from learn2assemble.cell.site import Site, read_site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import set_up_team, team_reach
 from learn2assemble.constants import GRAVITY
@@ -29,7 +31,9 @@ from learn2assemble.robot.hand import SHARE, hand_limits
 from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.moves import Move
 from learn2assemble.robot.sweeps import clear, sweep
+from learn2assemble.statics.states import State
 
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "structures"
 ARMS = (SiteArm("one", "panda"), SiteArm("two", "ur5e"))
 
 
@@ -270,3 +274,22 @@ def test_each_arm_takes_from_places_of_its_own() -> None:
     for member in members:
         away = [math.dist(s.pose[:2], member.job.base) for s in member.job.sources]
         assert max(away) < 0.85
+
+
+def test_an_arm_comes_past_one_that_leans_over_the_place() -> None:
+    """Of an arch whose crown is held: straight down there is no way to the place beside it, along
+    the joints there is."""
+    arch = runpy.run_path(str(EXAMPLES / "arch.py"))["arch"](9)
+    members = set_up_team(arch, [SiteArm("one", "ur5e"), SiteArm("two", "panda")], Site())
+    crew, nothing = ArmCrew(members, arch.blocks), np.zeros(9, bool)
+
+    def without(*missing: int) -> State:
+        return State(~np.isin(np.arange(9), missing), nothing.copy())
+
+    ways = {True: 0, False: 0}
+    for held in crew._reached(1, 4, without(4, 5, 6)):
+        for found in crew._reached(0, 5, without(5, 6)):
+            if all(clear(way, held.stands, APART) for way in found.ways):
+                ways[found.move.place.way > 0] += 1
+    assert ways[True] > 0
+    assert ways[False] == 0

@@ -21,6 +21,8 @@ from learn2assemble.cell.workcell import Workcell
 from learn2assemble.motion.plant import PlantError, Stop
 from learn2assemble.motion.setup import Setup
 from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.reports import ArmFailure
+from learn2assemble.robot.moves import Outcome
 
 RESTS = 1e-2
 """What is slower stands [rad/s]."""
@@ -81,13 +83,17 @@ def stopped(job: Job, pressed: Pressed) -> Result:
         least = cell.least().distance
         resting = [float(np.abs(one.sense().velocity).max()) < RESTS for one in cell.plants]
         other = first.arms[1 - pressed.arm].did
-        failed = () if other is None else other.failures
+        failures = () if other is None else other.failures
+        # To put a block back that comes after the one that is lost is no harm.
+        failed = [one.detail for one in failures if not _gave_up(one)]
         told: Result = {
             "arm": first.arms[pressed.arm].name,
             "at_s": round(pressed.at, 2),
             "stage": cell.stage,
             "steps_done": len(first.steps),
             "least_distance": round(least, 5),
+            "other_failed": failed,
+            "other_rests": resting[1 - pressed.arm],
             "other_safe": bool(least >= APART and resting[1 - pressed.arm] and not failed),
         }
         again, cell = _built(job, workcell, None)
@@ -98,6 +104,12 @@ def stopped(job: Job, pressed: Pressed) -> Result:
             "resumed_least_distance": round(cell.least().distance, 5),
             "error_worst": max((one for one in worst if one is not None), default=None),
         }
+
+
+def _gave_up(failure: ArmFailure) -> bool:
+    """Whether an attempt was given up without harm: its block is back where it came from."""
+    back = ("put back", "the arm is home")
+    return failure.outcome == Outcome.UNREACHABLE.label and failure.detail.endswith(back)
 
 
 def _built(job: Job, workcell: Workcell, pressed: Pressed | None) -> tuple[Plan, StoppedCell]:

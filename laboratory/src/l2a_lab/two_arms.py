@@ -154,6 +154,32 @@ def beside_one(entries: dict[str, Result], what: str) -> tuple[Result, float | N
     return entries.get(f"{what}/{BOTH}", {}), min(alone, default=None)
 
 
+def table(entries: dict[str, Result]) -> str:
+    """What was reached by both arms, in Markdown, as far as it was measured; designs of 40 to 100
+    blocks last, with their mean."""
+    lines = [
+        "| design | blocks | two arms [s] | one [s] | ratio | least distance [mm] |",
+        "| --- | ---: | ---: | ---: | ---: | ---: |",
+    ]
+    for kind, designs in SETS.items():
+        shares: list[float] = []
+        for design in designs:
+            both, first = beside_one(entries, f"{kind}/{design}")
+            if not both:
+                continue
+            told = [both["status"], "", "", ""]
+            if both["status"] == "complete":
+                share = None if first is None else both["robot_s"] / first
+                shares += [] if share is None else [share]
+                alone = ("no arm alone", "") if first is None else (f"{first:.1f}", f"{share:.2f}")
+                told = [f"{both['robot_s']:.1f}", *alone, f"{1e3 * both['least_distance']:.1f}"]
+            lines.append(f"| {' | '.join([design, str(both['blocks']), *told])} |")
+        if kind == "eight" and shares:
+            mean = f"mean of {len(shares)} of the eight"
+            lines.append(f"| {mean} | | | | {np.mean(shares):.2f} | |")
+    return "\n".join(lines)
+
+
 def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
     """What was asked, and what was reached: (what, asked, got)."""
     rows: list[tuple[str, str, str]] = []

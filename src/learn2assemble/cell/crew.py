@@ -44,7 +44,11 @@ from learn2assemble.statics.states import State
 APART = 0.012
 """What arms keep from one another where one holds [m]."""
 MOST_GRIPS = 8
-"""Grasps of an arm that are offered for a block."""
+"""Grasps of an arm that are offered for a block, for each of :data:`OUT`."""
+OUT = (0.0, 0.12, 0.2)
+"""Where blocks lean, an arm that holds may lean over the place of the next one: so far a hand keeps
+to the way by which its block comes, and to its own axis when it leaves, before it goes straight up
+[m]; 0: as everywhere."""
 LIP_ROOM = 0.002
 """Between the lip of a cup that is moved aside and the edges of a face [m]."""
 LEANING = 0.02
@@ -103,6 +107,7 @@ class ArmCrew:
         self._holding: dict[bytes, Reached] = {}
         """By the hand, how the arm holds."""
         self._known: dict[tuple[int, int, bytes], list[Reached]] = {}
+        self._outs = OUT if self._leans else OUT[:1]
         self.why: dict[int, str] = {}
         """Of blocks, why an arm could not bring them, the last time."""
 
@@ -156,8 +161,9 @@ class ArmCrew:
             rows = rows_of(world, world.pose, block)
             ways = moves(world, rows, block, goal, into)
             held = (one for way in ways for one in self._held(number, block, way))
-            for move, turn in product(held, (0.0, *cell.arm.turns)):
-                point = _lip(move), turn
+            for move, turn, out in product(held, (0.0, *cell.arm.turns), self._outs):
+                move = move._replace(place=move.place._replace(way=out or move.place.way))
+                point = _lip(move), turn, out
                 if point in seen:
                     continue
                 one = turned(rows.scene, move, turn)
@@ -168,7 +174,7 @@ class ArmCrew:
                 seen.add(point)
                 yield self._as_reached(number, rows, one, found)
                 count += 1
-                if count == MOST_GRIPS:
+                if count == MOST_GRIPS * len(self._outs):
                     return
         if not count:
             self.why.setdefault(block, f"{member.name}: no supply")

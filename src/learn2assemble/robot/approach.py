@@ -56,12 +56,16 @@ def tool_path(
         attitude: of the hand.
         height: of the last tool point, or that just clear of the cell if that is higher [m].
         upwards: leave the contact the way what is held comes to its place.
+
+    Returns:
+        poses along that way, or along the approach axis, over what the attitude says or a bit, then
+        straight up.
     """
     rotation, contact = attitude.rotation(), attitude.tool_point(centre)
     approach, rise = attitude.approach(), np.array(RISE)
     if upwards and attitude.apart:
         approach = attitude.insertion()
-    elif attitude.way > RISE[-1]:
+    if attitude.way > RISE[-1]:
         further = math.ceil((attitude.way - RISE[-1]) / (2 * LEVEL))
         rise = np.r_[rise, np.linspace(RISE[-1], attitude.way, further + 1)[1:]]
     near = contact - np.outer(rise, approach)
