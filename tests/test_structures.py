@@ -17,6 +17,7 @@ import pytest
 import learn2assemble as l2a
 from learn2assemble.assembly.contacts import check_overlaps, find_contacts
 from learn2assemble.errors import InputError
+from learn2assemble.geometry.polygons import area_vector
 from learn2assemble.planning.clearance import FreeWays, overlap, parts_of
 from learn2assemble.planning.posts import find_posts
 from learn2assemble.statics.rigid_blocks import FALLS, STANDS
@@ -187,3 +188,14 @@ def test_a_hull_has_one_polygon_for_each_plane_face() -> None:
     for wrong in (flat, flat[:3], [[0, 0]] * 5, [["a", 0, 0]] * 4, [[np.nan, 0, 0], *flat]):
         with pytest.raises(InputError, match=r"block 'b': (points|vertices)"):
             l2a.hull_block("b", wrong)  # pyright: ignore[reportArgumentType]
+
+
+def test_the_normal_of_a_ring_is_as_long_as_twice_its_area() -> None:
+    """An L of area 3, turned at random, also where coordinates are 1e8 times as large."""
+    ring = np.array([(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)], float)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        turn, at = np.linalg.qr(rng.normal(size=(3, 3)))[0], 1e8 * rng.normal(size=3)
+        found = area_vector(ring @ turn[:2] + at)
+        assert found == pytest.approx(6 * np.cross(turn[0], turn[1]), abs=1e-5)
+        assert area_vector((ring @ turn[:2] + at)[::-1]) == pytest.approx(-found, abs=1e-5)

@@ -13,6 +13,7 @@ import numpy as np
 
 from l2a_lab.creep import largest_move
 from learn2assemble.assembly.blocks import Assembly, Block
+from learn2assemble.geometry.polygons import area_vector
 from learn2assemble.statics.rigid_blocks import SIDE
 
 GAP = 1e-4
@@ -80,7 +81,7 @@ def opened(
 def _drawn_in(block: Block, depth: float, which: Callable[[np.ndarray], np.ndarray]) -> Block:
     """A block with some of its faces moved inwards; corners of many faces as well as they can."""
     corners = [block.vertices[list(face)] for face in block.faces]
-    normals = np.array([np.cross(c - c[0], np.roll(c, -1, 0) - c[0]).sum(0) for c in corners])
+    normals = np.array([area_vector(c) for c in corners])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     moves = np.where(which(normals), -depth, 0.0)
     vertices = block.vertices.copy()

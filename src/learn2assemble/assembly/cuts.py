@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from learn2assemble.geometry.polygons import area_vector
+
 POST = "post"
 """Kind of the blocks that are cut to what they carry."""
 _ALIKE = 1e-4
@@ -58,7 +60,7 @@ def cut_of(corners: np.ndarray, faces: Sequence[Sequence[int]]) -> Cut:
             way = corners[b] - corners[a]
             if a in upright and np.abs(way[:2]).max() <= near:
                 upright[a] = max(upright[a], float(way[2]))
-        normal = np.cross(points - points[0], np.roll(points, -1, 0) - points[0]).sum(0)
+        normal = area_vector(points)
         if normal[2] > _NEAR * np.linalg.norm(normal):
             angle = float(np.degrees(np.arctan2(np.hypot(*normal[:2]), normal[2])))
             if all(abs(angle - other) > 0.05 for other in angles):

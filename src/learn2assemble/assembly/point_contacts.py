@@ -18,6 +18,7 @@ from shapely.geometry.base import BaseGeometry
 
 from learn2assemble.assembly.blocks import Block
 from learn2assemble.assembly.parts import convex_parts
+from learn2assemble.geometry.polygons import area_vector
 
 LOOSE = 2.0
 """Widest gap and deepest overlap of such a contact, in those of two faces: poses that were measured
@@ -89,8 +90,7 @@ def _body(block: Block) -> _PointSolid:
     normals, edges = [], []
     for face in block.faces:
         corners = xyz[list(face)]
-        arm = corners - corners.mean(0)
-        normal = np.cross(arm, np.roll(arm, -1, 0)).sum(0)
+        normal = area_vector(corners)
         size = np.linalg.norm(normal)
         if size > 0:
             normal = normal / size

@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from learn2assemble.geometry.polygons import area_vector
+
 MAX_HOLES, WIDEST = 1000, 0.25
 """Most holes that are closed, and the widest, as a share of the largest side of the mesh."""
 
@@ -87,7 +89,7 @@ def _filled(points: np.ndarray) -> np.ndarray | None:
     from manifold3d import triangulate
 
     moved = points - points.mean(0)
-    normal = np.cross(moved, np.roll(moved, -1, axis=0)).sum(0)
+    normal = area_vector(points)
     length = float(np.linalg.norm(normal))
     if length <= 1e-12 * float(np.ptp(points, axis=0).max()) ** 2:
         return None

@@ -12,6 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
+from learn2assemble.geometry.polygons import area_vector
+
 ONE_PLANE = 1e-7
 """How far a point of a hull may be from a plane to lie in it, in extents of the hull."""
 _RIGHT = 1e-6
@@ -87,11 +89,7 @@ class Hull:
     @cached_property
     def normals(self) -> np.ndarray:
         """float64[F, 3]: unit vectors out of the faces."""
-        found = []
-        for face in self.faces:
-            arm = self.points[list(face)] - self.points[list(face)].mean(0)
-            found.append(np.cross(arm, np.roll(arm, -1, 0)).sum(0))
-        normals = np.array(found)
+        normals = np.array([area_vector(self.points[list(face)]) for face in self.faces])
         return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
     @cached_property

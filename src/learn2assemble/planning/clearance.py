@@ -14,6 +14,7 @@ from numba import njit
 from learn2assemble.assembly.blocks import Block
 from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.assembly.parts import convex_parts
+from learn2assemble.geometry.polygons import area_vector
 
 _STEPS = 4
 """Positions looked at for every least extent of a block on its way."""
@@ -197,10 +198,7 @@ def ways_out(normals: np.ndarray) -> np.ndarray:
 
 def _part(block: Block) -> _ConvexSolid:
     xyz = np.array(block.vertices)
-    normals = []
-    for face in block.faces:
-        arm = xyz[list(face)] - xyz[list(face)].mean(0)
-        normals.append(np.cross(arm, np.roll(arm, -1, 0)).sum(0))
+    normals = [area_vector(xyz[list(face)]) for face in block.faces]
     ends = np.array(
         sorted(
             {

@@ -18,6 +18,7 @@ from learn2assemble.assembly.blocks import Block
 from learn2assemble.assembly.contacts import GROUND, Contacts
 from learn2assemble.assembly.cuts import POST
 from learn2assemble.errors import InputError
+from learn2assemble.geometry.polygons import area_vector
 from learn2assemble.planning.clearance import Parts, overlap, parts_of
 
 DENSITY = 600.0
@@ -256,8 +257,7 @@ def _faces(block: Block) -> list[Face]:
     found = []
     for face in block.faces:
         corners = block.vertices[list(face)]
-        arm = corners - corners.mean(0)
-        normal = np.cross(arm, np.roll(arm, -1, 0)).sum(0)
+        normal = area_vector(corners)
         normal = normal / max(float(np.linalg.norm(normal)), 1e-300)
         outline = Polygon(corners[:, :2])
         if outline.is_valid and outline.area > 0:
