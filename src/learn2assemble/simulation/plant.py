@@ -129,7 +129,7 @@ class DynamicPlant(DynamicWorld):
         """See :class:`SimulatedCell`; what was in a hand has been taken out of it, which lets go
         when nobody tells it to hold."""
         super().restore(state)
-        for name in state["held"]:
+        for name in state.get("held", ()):
             self.things.pop(name)
         arms = [(state["joints"], state["width"]), *state.get("others", ())]
         joints, widths = zip(*arms, strict=True)
