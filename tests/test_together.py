@@ -176,6 +176,9 @@ def test_an_arm_that_comes_after_the_other_one_fetches_meanwhile_and_then_crosse
     with pytest.raises(Failure, match="not placed"):
         two.execute(across)
     assert len(plant.told) == told
+    # Whether it could have gone on to its place does not matter on its way back.
+    assert not traffic.lanes[1].on_route
+    assert traffic.lanes[1].ahead == ()
     # It is told once, and goes where it likes then.
     assert two.execute(across).stop == Stop.END
     traffic.over(1, placed=False)

@@ -203,6 +203,13 @@ class Traffic:
         lane.route, lane.ahead, lane.on_route, lane.holding = None, (), True, False
         self.changes += 1
 
+    def leaves_route(self, who: int) -> None:
+        """An arm gives up what it announced: what would have come of it is in nobody's way, nor
+        does it have to be possible any more."""
+        lane = self.lanes[who]
+        lane.ahead, lane.on_route = (), False
+        self.changes += 1
+
     def stopped(self, who: int) -> None:
         """An arm does not move any more; it is somewhere on the leg it was on, with what it
         holds."""
@@ -380,11 +387,13 @@ class ArmInTraffic(WrappedPlant):
         while moves:
             if lane.in_vain and motion.stage in BEHIND:
                 lane.in_vain = False  # As below.
+                self.traffic.leaves_route(self.who)
                 raise Failure(Outcome.UNREACHABLE, motion.stage, NOT_PLACED)
             if self.traffic.enter(self.who, motion):
                 break
             if self.traffic.stuck(self.who):
                 lane.behind = None  # It takes its block back.
+                self.traffic.leaves_route(self.who)
                 raise Failure(Outcome.UNREACHABLE, motion.stage, IN_THE_WAY)
             report = self.plant.execute(standing(motion.stage, motion.joints[0], PAUSE), (), kept)
             if self.traffic.other(self.who).moving:
