@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import shlex
+import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -159,3 +162,23 @@ def test_files_named_in_the_architecture_exist() -> None:
     rooms = {path.name for path in source.iterdir() if (path / "__init__.py").exists()}
     for room in rooms:
         assert f"`{room}/`" in text, room
+
+
+def test_every_page_has_its_picture() -> None:
+    """The hook of the site that puts them there knows every page, and every drawing it names."""
+    spec = importlib.util.spec_from_file_location("drawings", ROOT / "docs" / "drawings.py")
+    assert spec is not None
+    assert spec.loader is not None
+    drawings = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(drawings)
+    pages = {str(page.relative_to(ROOT / "docs")) for page in PAGES if page.name != "README.md"}
+    assert pages - {"index.md"} | {"tables.md"} == set(drawings.PAGES)
+    gallery = tomllib.loads((ROOT / "docs" / "gallery.toml").read_text(encoding="utf-8"))["build"]
+    known = set(drawings.DRAWINGS) | {f"gallery/{one['name']}" for one in gallery}
+    assert {name for name, _ in drawings.PAGES.values()} <= known
+    for name in ("proof", "tables", "sides"):
+        assert drawings.svg(name).startswith(b"<?xml"), name
+    page = SimpleNamespace(file=SimpleNamespace(src_uri="methods/dqn.md"))
+    shown = drawings.on_page_markdown("# Title\n\nText.\n", page, None, None)
+    assert shown.startswith("# Title\n\n![Returns of five agents")
+    assert "](../drawings/learning.svg)" in shown
