@@ -284,9 +284,10 @@ def _designs(piece: _Piece, seed: int) -> Steps:
     while len(found.done[0]) < piece.episodes:
         assert env.solved is not None
         for candidate in env.solved.order:
-            action = env.number(candidate)
-            if action is None:  # More are offered than an action can name.
+            numbers = np.flatnonzero(env.offered == candidate)
+            if not len(numbers):  # There are more than an action can name.
                 break
+            action = int(numbers[0])
             found.seen(0, observation, info)
             observation, reward, ended, _, info = env.step(action)
             found.acted(0, action, reward, ended)

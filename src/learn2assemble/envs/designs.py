@@ -93,10 +93,10 @@ class _CandidateEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self._ended = self._over(self.world)
         return observation, float(reward), self._ended, False, self._info(self.world, stood)
 
-    def number(self, candidate: int) -> int | None:
-        """The action that puts down a candidate of the site; None where it is not offered."""
-        found = np.flatnonzero(self._offered == candidate)
-        return int(found[0]) if len(found) else None
+    @property
+    def offered(self) -> np.ndarray:
+        """int64[k]: the candidate of the site that each action puts down."""
+        return self._offered
 
     def _observe(self, world: LatticeWorld) -> dict[str, Any]:
         """Offer the cheapest candidates, and describe them."""

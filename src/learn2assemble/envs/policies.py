@@ -21,8 +21,10 @@ import gymnasium
 import numpy as np
 
 from learn2assemble.envs.assembly import AssemblyEnv
+from learn2assemble.envs.designs import DesignEnv
 from learn2assemble.envs.suite import SECONDS, Choose
 from learn2assemble.errors import InputError, check_name
+from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.tasks.graph.features import node_offset
 from learn2assemble.tasks.graph.placements import distinct_placements, locate
 from learn2assemble.tasks.networks.agent import default_agent, load_agent
@@ -30,6 +32,10 @@ from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.world.state import State
 from learn2assemble.tasks.world_model import WorldModel, lookahead_actions
 
+LOOKS = 32
+"""So many candidates of a design are looked at."""
+PLANNING = 0.8
+"""Share of the time of a problem that is for planning."""
 _OFFERED = ("candidates", "placements", "mask")
 """Parts of an observation with a row for every action."""
 
@@ -74,9 +80,83 @@ class OnStates:
         return int(locate(distinct_placements(graph, spec), graph, action, spec)[0])
 
 
-def lookahead() -> OnStates:
-    """The exact one-step look-ahead, see :mod:`learn2assemble.tasks.world_model`."""
-    return OnStates(lookahead_actions, "model")
+class OnDesigns:
+    """Chooses candidates of a task of random designs, for those who know the model.
+
+    Raises:
+        InputError: for another task.
+    """
+
+    knows = "model"
+    env: DesignEnv
+
+    def begin(self, env: gymnasium.Env[Any, Any]) -> None:
+        """A new problem."""
+        if not isinstance(env, DesignEnv):
+            raise InputError("task", getattr(getattr(env, "task", None), "name", "?"), "a design's")
+        self.env = env
+
+    def lowest(self) -> np.ndarray:
+        """int64[k]: numbers of what is offered, lowest first, and of one level the largest."""
+        world = self.env.world
+        assert world is not None
+        found, offered = world.site.found, self.env.offered
+        return np.lexsort((-found.size()[offered], found.origin[offered, 2]))
+
+
+class DesignLookahead(OnDesigns):
+    """One step ahead: of the :data:`LOOKS` lowest and largest candidates that would stand, the one
+    that leaves the fewest cells which nothing can fill any more."""
+
+    def __call__(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> int:
+        order, world = self.lowest(), self.env.world
+        assert world is not None
+        best: tuple[int, int] | None = None
+        for place, number in enumerate(order[:LOOKS].tolist()):
+            after = world.copy()
+            if after.place(int(self.env.offered[number]), program=True):
+                best = min(best or (world.open, 0), (len(after.stranded()), place))
+        return int(order[0 if best is None else best[1]])
+
+
+class ExactPlanner(OnDesigns):
+    """Builds as the exact planner plans a design for its kit and heap; where that finds nothing in
+    time, what is lowest and largest."""
+
+    def begin(self, env: gymnasium.Env[Any, Any]) -> None:
+        """A new problem, which is planned at once."""
+        super().begin(env)
+        assert self.env.world is not None
+        site, planned = self.env.world.site, list[int]()
+        seconds = PLANNING * SECONDS
+        made, ordering = plan_exact(site.wanted, site.kit, props_allowed=False, seconds=seconds)
+        if ordering is not None and ordering.status == "complete":
+            steps = [made.placements[step.block] for step in ordering.steps]
+            planned = [site.candidate(one) for one in steps]
+        self.planned = planned[::-1]
+
+    def __call__(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> int:
+        while self.planned:
+            numbers = np.flatnonzero(self.env.offered == self.planned.pop())
+            if len(numbers):
+                return int(numbers[0])
+        return int(self.lowest()[0])
+
+
+class Lookahead:
+    """The exact one-step look-ahead: of placements, see :mod:`learn2assemble.tasks.world_model`,
+    or of candidates of a design."""
+
+    knows = "model"
+
+    def begin(self, env: gymnasium.Env[Any, Any]) -> None:
+        """A new problem."""
+        on_states = OnStates(lookahead_actions, "model")
+        self.choose = DesignLookahead() if isinstance(env, DesignEnv) else on_states
+        self.choose.begin(env)
+
+    def __call__(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> int:
+        return self.choose(observation, info)
 
 
 def shipped_agent() -> OnStates:
@@ -94,7 +174,8 @@ def shipped_agent() -> OnStates:
 
 BASELINES: dict[str, Callable[[], Choose]] = {
     "random": RandomChoice,
-    "look-ahead": lookahead,
+    "look-ahead": Lookahead,
+    "exact-planner": ExactPlanner,
     "shipped": shipped_agent,
 }
 """Policies that come with the package, by name."""

@@ -353,6 +353,11 @@ DESIGN_TASKS: Registry[DesignTask] = Registry(
             "lintels-60": {},
             "lintels-60-heap": {"limited_heap": True},
             "lintels-400": {"blocks": (200, 400), "max_candidates": 4096},
+            "lintels-400-heap": {
+                "blocks": (100, 400),
+                "limited_heap": True,
+                "max_candidates": 4096,
+            },
         }.items()
     },
     lambda name, given: DesignTask(name, **given),
