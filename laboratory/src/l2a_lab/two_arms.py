@@ -180,6 +180,16 @@ def table(entries: dict[str, Result]) -> str:
     return "\n".join(lines)
 
 
+def stops_told(entries: dict[str, Result]) -> str:
+    """What came of the builds of which an arm was stopped, in a sentence."""
+    stops = [entries[name] for name in entries if name.startswith("stopped/")]
+    safe = sum(one["other_safe"] for one in stops)
+    complete = sum(one["status"] == "complete" for one in stops)
+    least = min(min(one["least_distance"], one["resumed_least_distance"]) for one in stops)
+    words = f"Of {len(stops)} such builds, the other arm was safe in {safe}, and {complete} were"
+    return f"{words} complete after that; the arms were {1e3 * least:.0f} mm apart at least."
+
+
 def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
     """What was asked, and what was reached: (what, asked, got)."""
     rows: list[tuple[str, str, str]] = []
