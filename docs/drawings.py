@@ -208,7 +208,7 @@ def layout() -> Figure:
         axes.scatter(*places.T, marker="s", s=90, fc="none", ec=tone, label=name)
     base = record.arm.base_position[:2]
     axes.scatter(*base, s=420, c=INK)
-    axes.text(*base, "base", ha="center", va="center", color="white", fontsize=8)
+    axes.text(base[0], base[1], "base", ha="center", va="center", color="white", fontsize=8)
     axes.legend(frameon=False, labelcolor=INK)
     axes.set_aspect("equal")
     axes.set_xlabel("x [m]", color=SOFT)

@@ -101,7 +101,8 @@ def test_a_table_is_measured_once(
     assert "minutes with 1 processes; --quick measures less" in text
     assert not first["quick"]
     assert QUICK not in text
-    for word in ("not trained", NAME, "paper"):
+    # Words of a column that is narrow are broken; states are told below.
+    for word in (NAME, "paper"):
         assert word in text
     states = {(row["task"], row["method"]): row["state"] for row in first["rows"]}
     assert states[NAME, "plain"] == "measured"
