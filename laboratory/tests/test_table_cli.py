@@ -110,6 +110,7 @@ def test_a_table_is_measured_once(
     assert states[NAME, "played elsewhere"] == "not available"
     page = Path(first["files"]["markdown"])
     assert page == tmp_path / "out" / "tables.md"
+    assert "| absent | not trained |" in page.read_text(encoding="utf-8")
     before = page.read_bytes()
     second, _ = l2a(capsys, *words)
     assert second["measured"] == 0

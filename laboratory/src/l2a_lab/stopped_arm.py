@@ -1,4 +1,4 @@
-"""One of two arms is stopped in the middle of a build, at a moment drawn from all of it.
+"""One of two arms is stopped in the middle of a build, at a moment drawn from its first seconds.
 
 Measured is whether the other one is safe, and whether the build, gone on with from its file, is
 complete.

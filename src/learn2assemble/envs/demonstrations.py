@@ -12,7 +12,7 @@ import os
 import shutil
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -154,7 +154,7 @@ def demonstrate(
 
 
 @contextmanager
-def _datasets_in(out: str | Path | None) -> Any:
+def _datasets_in(out: str | Path | None) -> Generator[None, None, None]:
     """Minari finds data sets in ``out``."""
     before = os.environ.get(ROOT)
     if out is not None:
@@ -330,11 +330,9 @@ def _write(
 
 def _buffers(buffer: Callable[..., Any], found: Steps, first: int) -> list[Any]:
     """The episodes of a piece as Minari takes them."""
-    ends = np.cumsum(found["lengths"])
-    out = []
-    for number, (end, count) in enumerate(
-        zip(ends.tolist(), found["lengths"].tolist(), strict=True)
-    ):
+    lengths, end, out = found["lengths"].tolist(), 0, []
+    for number, count in enumerate(lengths):
+        end += count
         taken, seen = slice(end - count, end), slice(end - count + number, end + number + 1)
         out.append(
             buffer(
