@@ -17,6 +17,7 @@ import subprocess
 import sys
 import threading
 import time
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +49,7 @@ CLOSE = 0.004
 """Two blocks cannot be presented so near to one another [m]."""
 
 
-class FakeController:
+class FakeController(ABC):
     """A robot with a suction cup and blocks, and what goes wrong with it.
 
     Args:
@@ -91,21 +92,21 @@ class FakeController:
 
     # ------------------------------------------------------------ for each kind
 
+    @abstractmethod
     def cycle(self) -> None:
         """What happens in a cycle of the control loop: the arm may be told where to be."""
-        raise NotImplementedError
 
+    @abstractmethod
     def publish(self) -> None:
         """Tell everybody the state."""
-        raise NotImplementedError
 
+    @abstractmethod
     def cut(self) -> None:
         """All connections break."""
-        raise NotImplementedError
 
+    @abstractmethod
     def end(self) -> None:
         """A protective stop ends what the arm was about to do."""
-        raise NotImplementedError
 
     def behind(self) -> bool:
         """Whether somebody who listens has not heard yet what was told."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -65,7 +66,7 @@ class ControllerState(NamedTuple):
         return self.playing or float(np.abs(self.velocity).max()) > STANDS
 
 
-class Controller:
+class Controller(ABC):
     """Base of a plant behind a controller: what is sensed and reported.
 
     Args:
@@ -80,21 +81,21 @@ class Controller:
         self._base = quaternion_matrix(self.driver.base[3:])
         self._last: ControllerState | None = None
 
+    @abstractmethod
     def _read(self) -> ControllerState:
         """What the controller said last.
 
         Raises:
             PlantError: where it cannot be asked.
         """
-        raise NotImplementedError
 
     def _silence(self) -> str:
         """What is wrong with the connection, in words; empty where nothing is."""
         return ""
 
+    @abstractmethod
     def stop(self) -> None:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
-        raise NotImplementedError
 
     def _now(self) -> ControllerState:
         """What the controller says now.
@@ -171,17 +172,17 @@ class WatchingController(Controller):
     """Base of those whose guards and tool commands are looked after from here, as the controller
     does not do it itself."""
 
+    @abstractmethod
     def _go(self, motion: Motion) -> None:
         """Send a motion, and do not wait for its end."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _ended(self) -> tuple[Stop, str] | None:
         """How the motion that was sent last ended; None: it goes on."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _tell(self, commands: Sequence[ToolCommand]) -> None:
         """Tell the tool."""
-        raise NotImplementedError
 
     def execute(
         self,
