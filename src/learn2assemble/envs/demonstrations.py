@@ -132,7 +132,9 @@ def demonstrate(
             parts.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             reason = error.strerror or "unwritable"
-            raise InputError("folder of data sets", str(out), f"writable ({reason})") from None
+            raise InputError(
+                "folder of data sets", str(out), f"a writable folder ({reason})"
+            ) from None
         most = _piece_size(task)
         sizes = [min(most, episodes - first) for first in range(0, episodes, most)]
         pieces = [

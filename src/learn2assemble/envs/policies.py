@@ -93,7 +93,8 @@ class OnDesigns:
     def begin(self, env: gymnasium.Env[Any, Any]) -> None:
         """A new problem."""
         if not isinstance(env, DesignEnv):
-            raise InputError("task", getattr(getattr(env, "task", None), "name", "?"), "a design's")
+            name = getattr(getattr(env, "task", None), "name", "?")
+            raise InputError("task", name, "a task of random designs: designs-*")
         self.env = env
 
     def lowest(self) -> np.ndarray:
