@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import pytest
 
 from l2a_lab import speed
@@ -49,3 +52,12 @@ def test_the_other_library_is_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(speed.importlib, "import_module", absent)
     with pytest.raises(MissingExtraError, match="speed"):
         speed._packing(1)(1.0)
+
+
+def test_the_table_of_the_documents_is_that_of_the_file() -> None:
+    root = Path(__file__).resolve().parents[2]
+    entries = json.loads((root / "results" / "speed.json").read_text(encoding="utf-8"))["entries"]
+    text = (root / "docs" / "results.md").read_text(encoding="utf-8")
+    own = text.split("## Speed of the environments\n")[1].split("\n## ")[0]
+    rows = [line for line in own.splitlines() if line.startswith("|")]
+    assert rows == speed.table(entries).splitlines()

@@ -131,4 +131,14 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
     return [(what, "say", f"{found[what]['median']:,} a second") for what in MEASURED]
 
 
+def table(entries: dict[str, Result]) -> str:
+    """Steps a second, in Markdown."""
+    lines = ["| played | median | lowest | highest |", "| --- | ---: | ---: | ---: |"]
+    for what in MEASURED:
+        rates = entries[RUN][what]
+        told = [f"{rates[of]:,}" for of in ("median", "lowest", "highest")]
+        lines.append(f"| {' | '.join([what, *told])} |")
+    return "\n".join(lines)
+
+
 FIGURES = Figures("learn2assemble-speed-figures", lambda: [RUN], entry, configuration, summary)
