@@ -23,6 +23,8 @@ from learn2assemble.simulation.plant import DynamicPlant
 
 MOMENTS = 10_000
 """So many are drawn of a build."""
+THERE = 0.005
+"""What is held is in its place where it is so near to that [m]."""
 
 
 class Moment(NamedTuple):
@@ -188,12 +190,15 @@ class WatchedCell(DynamicPlant):
         _library()
         super().__init__(setup)
         self.moments: list[Moment] = []
+        self.places: dict[str, np.ndarray] = {}
+        """float64[7]: where blocks are to stand that an arm may hold there: in its place what is
+        held belongs to the structure, on which the other arm sets the next block down."""
         self.carried: dict[str, Shape] = {}
         """All that ever was in a hand; some of it may be gone."""
 
     def _advance(self, moving: frozenset[int]) -> None:
         super()._advance(moving)
-        state, held = self.simulated, [one.held() for one in self.plants]
+        state, held = self.simulated, [self._carries(one.held()) for one in self.plants]
         self.carried |= {name: self.things[name].kind.shape for name in held if name}
         self.moments.append(
             Moment(
@@ -201,6 +206,13 @@ class WatchedCell(DynamicPlant):
                 tuple(None if n is None else (n, self.pose_now(n)) for n in held),
             )
         )
+
+    def _carries(self, name: str | None) -> str | None:
+        """What is held, but where it stands."""
+        place = self.places.get(name or "")
+        if name is None or place is None:
+            return name
+        return None if np.linalg.norm(self.pose_now(name)[:3] - place[:3]) < THERE else name
 
     def least(self, count: int = MOMENTS, seed: int = 0) -> Least:
         """The least distance of the arms at so many moments, all different, or at all of them."""

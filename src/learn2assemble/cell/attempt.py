@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.plant import Plant, ToolCommand
 from learn2assemble.motion.record import RATE, Stage
 from learn2assemble.motion.recorder import StepMotion
-from learn2assemble.robot.approach import approach_path, tool_path
+from learn2assemble.robot.approach import ApproachPath, approach_path, tool_path
 from learn2assemble.robot.moves import Move, Outcome, turned, turns
 from learn2assemble.simulation.cell import DynamicCell
 from learn2assemble.simulation.execution import BLIND, LOADED, LOOSE, Execution, Rig, abandon
@@ -28,13 +29,16 @@ from learn2assemble.simulation.model import (
 )
 from learn2assemble.simulation.prepare import (
     PRESS,
+    STRAIGHT,
     Approaches,
     Course,
     leaving,
     prepare,
     require_held,
+    rest_pose,
 )
 from learn2assemble.simulation.rest import ShiftRule, check_rest
+from learn2assemble.simulation.ways import WorldChecker, free_way
 
 REST = 0.5
 """Blocks that were disturbed are left alone for so long before it is looked where they are [s]."""
@@ -194,6 +198,11 @@ class Attempts:
         """Has the models in which ways are planned, and the limits."""
         self.announce: Callable[[Execution, str], bool] = lambda run, block: True
         """Called before the arm moves, with the name of the block that it will: whether it may."""
+        self.near: np.ndarray | None = None
+        """As of :func:`~.prepare.prepare`."""
+        self.stays: Callable[[Execution], None] = lambda run: None
+        """Called when the block rests in its place, still in the hand, which lets go of it when
+        this returns."""
 
     def carry_out(
         self,
@@ -235,8 +244,10 @@ class Attempts:
             )
         failure = None
         try:
-            run.go()
-            check_rest(order, senses.look(), 0.0, run.landed, ShiftRule())
+            run.bring()
+            self.stays(run)
+            run.leave()
+            check_rest(run.order, senses.look(), 0.0, run.landed, ShiftRule())
         except Failure as found:
             failure = abandon(run, found, True)
         if run.holding:
@@ -245,6 +256,40 @@ class Attempts:
         if failure is None:
             return came
         return came._replace(outcome=failure.outcome, stage=failure.stage, detail=failure.detail)
+
+    def leave_anew(self, run: Execution, rows: Rows) -> None:
+        """Plan the ways by which an arm leaves a block that it holds in its place, as things are
+        now.
+
+        Args:
+            run: the attempt that has brought the block there.
+            rows: the scene as it is believed now, in which the block stands.
+
+        Raises:
+            Failure: where there is no way home.
+        """
+        senses, move = run.rig.senses, run.course.plan.move
+        if self.planner is None or run.leaving is None or not isinstance(senses, AttemptSenses):
+            return
+        mine = (rows.owner == senses.moving) & (rows.part == senses.rows.part[move.cell])
+        move = move._replace(cell=int(np.flatnonzero(mine)[0]), grasp=move.place)
+        order = take_order(rows.scene, move)
+        world = self.planner.world(order.objects, order.scene.studs)
+        lean_table(world.plan, order.scene.table)
+        run.order, run.rig = order, replace(run.rig, world=world)
+        senses.order, senses.rows = order, rows
+        checker = WorldChecker(self.job.arm, world, order.poses, order.names)
+        checker.empty(order.opening)
+        rest, why = rest_pose(self.job.arm, checker), None
+        for leave in _ends(checker, run.leaving):
+            try:
+                home = free_way(checker, leave.joints[-1], rest, "home")
+            except Failure as failure:
+                why = failure
+                continue
+            run.leaving, run.course = leave, run.course._replace(home=home)
+            return
+        raise why or Failure(Outcome.UNREACHABLE, "retreat", "the way out of its hold is not free")
 
     def _open(self, run: Execution) -> None:
         """Let go of what could be put back nowhere; it is looked for afterwards."""
@@ -263,8 +308,23 @@ class Attempts:
         if self.planner is not None:
             world = self.planner.world(order.objects, order.scene.studs)
             lean_table(world.plan, order.scene.table)
-            return prepare(self.job.arm, world, order, joints, True, following), world
+            near = self.near
+            return prepare(self.job.arm, world, order, joints, True, following, near), world
         return straight(self, order, joints), None
+
+
+OUT_STEP = 0.05
+"""Between the ends of a way out that are tried [m]."""
+
+
+def _ends(checker: WorldChecker, path: ApproachPath) -> Iterator[ApproachPath]:
+    """A way out as far as it is free, then shorter ones."""
+    count = int((path.rise < STRAIGHT).sum()) + 1
+    while count < len(path.joints) and checker.check(path.joints[count]) is None:
+        count += 1
+    while path.rise[count - 1] >= STRAIGHT:
+        yield ApproachPath(path.joints[:count], path.rise[:count])
+        count = int(np.searchsorted(path.rise, path.rise[count - 1] - OUT_STEP)) or 1
 
 
 def straight(attempts: Attempts, order: Order, joints: np.ndarray) -> Course:

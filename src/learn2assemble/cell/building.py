@@ -96,8 +96,6 @@ class Building:
         self.job, self.kinematic, self.key, self.kept = found.job, found.cell, key, kept
         self.known = Choice(found.job, found.order, found.structure)
         self.log, self.recorded = workcell.log, workcell.physics == "dynamic"
-        self.seen = bool(workcell.site.cameras)
-        """Whether cameras look for blocks: the arm goes out of their sight then."""
         self.world = self.known.world
         arm = self.job.arm
         self.names = set(self.world.names)
@@ -109,6 +107,9 @@ class Building:
         self.witness, self.stopped = witness, Stop.END
         """Why the plant ended the build, where it did."""
         self.joints = self._where(arm.home)
+        self.goes_home = bool(workcell.site.cameras)
+        """Whether the arm waits at home, not above what it takes next: where cameras look for
+        blocks it goes out of their sight."""
         self.stood = 0.0
         """So long the arm did nothing before an attempt, where others work meanwhile [s], ..."""
         self.gone: StepMotion | None = None
@@ -244,9 +245,9 @@ class Building:
 
     def _following(self, k: int, source: int) -> np.ndarray | None:
         """float64[3]: from the top of a block that waits at a source to where the top of the next
-        one will be [m]; None where the arm does not fetch another one next, stands in the sight of
-        cameras there, or somebody comes near before."""
-        if self.seen:
+        one will be [m]; None where the arm does not fetch another one next, waits at home, or
+        somebody comes near before."""
+        if self.goes_home:
             return None
         others = {k} | self.known.elsewhere
         left = (

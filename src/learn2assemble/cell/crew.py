@@ -22,6 +22,7 @@ from learn2assemble.assembly.hands import Hand
 from learn2assemble.cell.arrange import ends_of, ways_in
 from learn2assemble.cell.pieces import Piece, pieces_of, with_rests
 from learn2assemble.cell.reach import cells_of
+from learn2assemble.cell.traffic import APART as KEPT
 from learn2assemble.cell.workcell import DOWN, Direction, Job, StepOf
 from learn2assemble.cell.world import (
     STANDING,
@@ -41,8 +42,9 @@ from learn2assemble.robot.moves import Attempt, Move, carried, turned
 from learn2assemble.robot.sweeps import Sweep, clear, sweep
 from learn2assemble.statics.states import State
 
-APART = 0.012
-"""What arms keep from one another where one holds [m]."""
+APART = KEPT + 0.002
+"""What arms keep from one another where one holds [m]: more than what they keep while they build,
+as blocks are not placed where they were planned to the last bit."""
 MOST_GRIPS = 8
 """Grasps of an arm that are offered for a block, for each of :data:`OUT`."""
 OUT = (0.0, 0.12, 0.2)
@@ -124,6 +126,22 @@ class ArmCrew:
                     self._holding[found.hand.key] = found
                     yield Bringing(member.name, found.hand)
 
+    def reached(
+        self, block: int, state: State, name: str, hand: Hand | None = None
+    ) -> Iterator[Reached]:
+        """As :meth:`grips`, how one arm brings a block.
+
+        Args:
+            name: of the arm.
+            hand: what it has to be able to give the block; None: nothing.
+        """
+        number = [member.name for member in self.members].index(name)
+        for found in self._reached(number, block, state):
+            alike = hand is None or found.hand.key == hand.key
+            if alike and self._clear(found, block, state):
+                self._holding.setdefault(found.hand.key, found)
+                yield found
+
     def takes(self, block: int, state: State) -> Iterator[Bringing]:
         return self.grips(block, state.change(remove=[block]))
 
@@ -197,7 +215,7 @@ class ArmCrew:
             return None
         way /= np.linalg.norm(way)
         radius = arm.suction.cups[0].radius
-        far = _room(piece, point, approach, way) - radius - LIP_ROOM
+        far = _room(piece, point, approach, way, radius + LIP_ROOM)
         if far < 2 * LIP_ROOM:
             return None
         u, v, w = (np.array(place.aside) + far * (tool.T @ way)).tolist()
@@ -258,9 +276,11 @@ class ArmCrew:
             world.pose[k] = world.target(k) if there else poses[k]
 
 
-def _room(piece: Piece, point: np.ndarray, approach: np.ndarray, way: np.ndarray) -> float:
-    """How far it is from a point of a face of a block in its place to the edges of the face, along
-    a way in it [m]; 0 where it is on none."""
+def _room(
+    piece: Piece, point: np.ndarray, approach: np.ndarray, way: np.ndarray, inside: float
+) -> float:
+    """How far a point of a face of a block in its place may be moved along a way in the face until
+    it is as near to an edge as ``inside`` [m]; 0 where it is on none."""
     solid, turn = piece.shape[0].solid, piece.turn
     middle = piece.pose[:3] + turn @ np.array(piece.shape[0].centre)
     for face, normal in enumerate(solid.normals):
@@ -271,7 +291,7 @@ def _room(piece: Piece, point: np.ndarray, approach: np.ndarray, way: np.ndarray
         inwards = np.cross(outward, np.roll(corners, -1, 0) - corners)
         inwards /= np.linalg.norm(inwards, axis=1)[:, None]
         away, slope = ((point - corners) * inwards).sum(1), inwards @ way
-        ahead = [a / -s for a, s in zip(away, slope, strict=True) if s < -1e-6]
+        ahead = [(a - inside) / -s for a, s in zip(away, slope, strict=True) if s < -1e-6]
         return max(min(ahead, default=0.0), 0.0)
     return 0.0
 

@@ -183,7 +183,7 @@ class Recording:
 
     def numbers(self, rows: Rows) -> np.ndarray:
         """int64[n]: cell of the record of each row; -1: none."""
-        fixed = [*self.fixed, *[-1] * (len(self.job.obstacles) - len(self.fixed))]
+        fixed = [*self.fixed, *[-1] * (len(rows.owner) - len(self.fixed))]
         return np.array(
             [
                 fixed[part] if owner < 0 else self.cells[self.body[owner]][part]

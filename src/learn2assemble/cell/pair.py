@@ -60,8 +60,44 @@ def gather(
     Raises:
         InputError: for a block that neither can place when its turn in the plan has come.
     """
-    assert plan.assembly is not None
-    alike = job_of(plan, workcell.arm, joint, workcell.hands)
+    first, second = jobs_of(plan, members, workcell, joint)
+    structure, jobs = Structure(first), [first, second]
+    kinematic = [KinematicCell(job.arm, cells_of(job)) for job in jobs]
+    can = [possible(job, structure, cell) for job, cell in zip(jobs, kinematic, strict=True)]
+    found, cells = list[Prepared](), list[Workcell]()
+    for number, (job, cell) in enumerate(zip(jobs, kinematic, strict=True)):
+        (steps, stuck), (others, _) = can[number], can[1 - number]
+        order = shared_out(job, structure, steps, set(others), number)
+        found.append(Prepared(job, structure, Arranged(order, stuck), cell))
+        cells.append(workcell_of(workcell, job))
+    reached = {step for one in found for step in one.order.steps}
+    left = [step for step in first.steps if step not in reached]
+    if left:
+        piece = first.pieces[left[0].block]
+        why = found[0].order.stuck[left[0].block]
+        raise InputError("arms", f"{piece.id}, which neither can place: {why}", "all within reach")
+    one, other = (member.name for member in members)
+    return Pair((found[0], found[1]), (cells[0], cells[1]), (one, other))
+
+
+def workcell_of(workcell: Workcell, job: Job) -> Workcell:
+    """That of one of the arms; what is kept of the build is kept of both at once."""
+    return replace(workcell, arm=job.arm.name, tool=job.arm.tool_name, log=None)
+
+
+def jobs_of(
+    plan: Plan,
+    members: Sequence[Member],
+    workcell: Workcell,
+    joint: float,
+    holding: bool = False,
+) -> tuple[Job, Job]:
+    """What two arms have to do, each with what of the other one it keeps clear of.
+
+    Args:
+        holding: whether the plan may have steps that hold a block.
+    """
+    alike = job_of(plan, workcell.arm, joint, workcell.hands, holding)
     jobs = [
         replace(
             alike,
@@ -77,24 +113,7 @@ def gather(
         replace(job, obstacles=(*job.obstacles, *occupied(other)))
         for job, other in zip(jobs, reversed(jobs), strict=True)
     )
-    structure, jobs = Structure(first), [first, second]
-    kinematic = [KinematicCell(job.arm, cells_of(job)) for job in jobs]
-    can = [possible(job, structure, cell) for job, cell in zip(jobs, kinematic, strict=True)]
-    found, cells = list[Prepared](), list[Workcell]()
-    for number, (job, cell) in enumerate(zip(jobs, kinematic, strict=True)):
-        (steps, stuck), (others, _) = can[number], can[1 - number]
-        order = shared_out(job, structure, steps, set(others), number)
-        found.append(Prepared(job, structure, Arranged(order, stuck), cell))
-        # What is kept of the build is kept of both at once.
-        cells.append(replace(workcell, arm=job.arm.name, tool=job.arm.tool_name, log=None))
-    reached = {step for one in found for step in one.order.steps}
-    left = [step for step in first.steps if step not in reached]
-    if left:
-        piece = first.pieces[left[0].block]
-        why = found[0].order.stuck[left[0].block]
-        raise InputError("arms", f"{piece.id}, which neither can place: {why}", "all within reach")
-    one, other = (member.name for member in members)
-    return Pair((found[0], found[1]), (cells[0], cells[1]), (one, other))
+    return first, second
 
 
 def possible(

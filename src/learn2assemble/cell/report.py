@@ -235,12 +235,17 @@ def carried_out(
     order = [step for step in dict.fromkeys(orders) if not step.group]
     apart = {step.block for step in order if step.beside is not None}
     done = [step.plain for step in order if building.known.satisfied(step)]
-    done.sort(key=lambda step: last[step][0] if step in last else -1)
-    proven = {StepOf(s.block, s.action == "remove"): s for s in plan.steps}
+    moved = [s for s in plan.steps if s.action in ("place", "remove")]
+    proven = {StepOf(s.block, s.action == "remove"): s for s in moved}
+    if len(moved) < len(plan.steps):
+        # An attempt of which the block is held ends when that is let go.
+        done = [step for step in proven if step in done]
+    else:
+        done.sort(key=lambda step: last[step][0] if step in last else -1)
     same, standing, covered, before = done == list(proven), set[int](), 0.0, 0.0
     steps: list[Step] = []
-    share = {s.block: 0.0 for s in plan.steps}
-    for step in plan.steps:
+    share = {s.block: 0.0 for s in moved}
+    for step in moved:
         share[step.block] += step.coverage - before if step.action == "place" else 0.0
         before = step.coverage
     for number, step in enumerate(done, 1):
@@ -270,7 +275,7 @@ def carried_out(
                 arm=None if hand else by.name,
             )
         )
-    made = tuple(
+    made = [
         AssemblyStep(
             place=None if s.remove else plan.assembly.blocks[s.block].id,
             remove=plan.assembly.blocks[s.block].id if s.remove else None,
@@ -278,8 +283,13 @@ def carried_out(
             way="beside" if step.way == "beside" else None,
         )
         for s, step in zip(done, steps, strict=True)
-    )
-    assembly = replace(plan.assembly, steps=made, not_built=()).as_far_as_placed()
+    ]
+    numbers = {step: n for n, step in enumerate(done, 1)}
+    if len(moved) < len(plan.steps):
+        steps, made = _with_holds(plan, steps, made)
+        of = [StepOf(s.block, s.action == "remove") for s in steps]
+        numbers = {step: n for n, step in reversed([*enumerate(of, 1)])}
+    assembly = replace(plan.assembly, steps=tuple(made), not_built=()).as_far_as_placed()
     ranges: dict[str, Any] = {}
     if not same:
         # The ranges of the planner hold for its states; these were proven for one of each.
@@ -288,7 +298,6 @@ def carried_out(
             name: (value, value) if whole else None
             for name, value in (("friction_range", job.friction), ("gap_range", job.joint))
         }
-    numbers = {step: n for n, step in enumerate(done, 1)}
     taken_by = [
         last[StepOf(k)][1] if StepOf(k) in last else arms[0] for k in range(len(job.pieces))
     ]
@@ -319,6 +328,29 @@ def carried_out(
         assembly=assembly,
         **ranges,
     )
+
+
+def _with_holds(
+    plan: Plan, steps: Sequence[Step], made: Sequence[AssemblyStep]
+) -> tuple[list[Step], list[AssemblyStep]]:
+    """Steps that were carried out in the order of the plan, as far as that came, with those that
+    hold a block and let go of it; of the plan and of its assembly.
+
+    Args:
+        steps: those that place a block or take it away.
+        made: the same of the assembly.
+    """
+    assert plan.assembly is not None
+    told = {(s.block, s.action): (s, one) for s, one in zip(steps, made, strict=True)}
+    found, placed = list[tuple[Step, AssemblyStep]](), set[int]()
+    for step, one in zip(plan.steps, plan.assembly.steps, strict=True):
+        if step.action in ("hold", "release"):
+            found += [(step, one)] if step.block in placed else []
+        elif (step.block, step.action) in told:
+            found.append(told[step.block, step.action])
+            placed.add(step.block)
+    numbered = [replace(step, step=n) for n, (step, _) in enumerate(found, 1)]
+    return numbered, [one for _, one in found]
 
 
 def _recorded(arm: Worked, numbers: dict[StepOf, int]) -> BuildRecord:

@@ -29,6 +29,10 @@ class SharedCell(Protocol):
         """The time they share."""
         ...
 
+    def loosen(self) -> None:
+        """Of a simulation: from now on everything may move, not only what an arm comes near."""
+        ...
+
     def sense(self) -> Readings:
         """What is sensed now, with the first arm."""
         ...

@@ -74,7 +74,15 @@ def build_together(
     journal = None
     if workcell.log is not None:
         journal = SharedJournal(workcell.log, f"{key_of(plan, workcell)} {_who(crew)}")
-    both = Together(crew, opened or simulated, journal)
+    return built_by(Together(crew, opened or simulated, journal), plan, progress, started)
+
+
+def built_by(both: Together[Any], plan: Plan, progress: Progress, started: float) -> Plan:
+    """What comes of a plan that two arms carry out.
+
+    Args:
+        started: when they were asked to, on the clock of the machine [s].
+    """
     reason = both.run(progress)
     took = time.perf_counter() - started
     turns = sorted(both.turns, key=lambda turn: turn.end)
@@ -86,14 +94,6 @@ def build_together(
 def simulated(setup: Setup) -> Any:
     """The simulated cell that is described, with all its arms."""
     return open_plant("sim://", setup)
-
-
-def _worker(
-    found: Prepared, workcell: Workcell, name: str, plant: Plant, witness: Witness
-) -> Worked:
-    """An arm before it begins."""
-    words = words_of(found.job, workcell)
-    return Worked(Building(found, workcell, plant, words, witness=witness), workcell, witness, name)
 
 
 def _who(crew: Pair) -> str:
@@ -125,6 +125,8 @@ class Together(Generic[Cell]):
         InputError: for a journal of another build, or one that cannot be used.
     """
 
+    building_of: type[Building] = Building
+
     def __init__(
         self,
         crew: Pair,
@@ -143,7 +145,7 @@ class Together(Generic[Cell]):
             ArmInTraffic(other, self.traffic, 1, mine),
         )
         self.worked = tuple(
-            _worker(*one, Witness(self.plant)) for one in zip(*crew, self.arms, strict=True)
+            self._worker(*one, Witness(self.plant)) for one in zip(*crew, self.arms, strict=True)
         )
         self.buildings = tuple(one.building for one in self.worked)
         for who, building in enumerate(self.buildings):
@@ -177,6 +179,14 @@ class Together(Generic[Cell]):
         self._resumed = bool(kept)
         if kept:
             self._take_up(kept)
+
+    def _worker(
+        self, found: Prepared, workcell: Workcell, name: str, plant: Plant, witness: Witness
+    ) -> Worked:
+        """An arm before it begins."""
+        words = words_of(found.job, workcell)
+        building = self.building_of(found, workcell, plant, words, witness=witness)
+        return Worked(building, workcell, witness, name)
 
     @property
     def seconds(self) -> float:

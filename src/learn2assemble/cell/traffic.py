@@ -44,6 +44,9 @@ from learn2assemble.simulation.model import Failure, part_of
 APART, PLANNED = 0.015, 0.02
 """So far the arms keep from each other as they are told to move, which they stray from by 2.4 mm
 each at most, and as their ways are planned [m]."""
+STANDS = 5e-4
+"""An arm whose joints are told to move by no more stands [rad]: no point of it moves by half of
+what it may stray."""
 PAUSE = 0.04
 """Between two looks whether the way is free [s]."""
 EVERY = 5
@@ -84,6 +87,8 @@ class Lane:
     arm: Arm
     here: Sweep
     """Where it stands, or what is left of the leg it is on."""
+    halted: bool = False
+    """Whether it was stopped, somewhere on the leg it was on."""
     moving: bool = False
     """Whether it is on a leg."""
     route: Route | None = None
@@ -114,6 +119,12 @@ class Lane:
 
     def __post_init__(self) -> None:
         self.capsules = capsules_of(self.arm)
+
+    @property
+    def stays(self) -> Sweep:
+        """Where it will be when it is done with the leg it is on: at its end, or, where it was
+        stopped, anywhere on what was left of it."""
+        return self.here if self.halted else self.here.end
 
     def swept(self, joints: np.ndarray) -> Sweep:
         """The space it takes up on straight connections of joints float64[k, n] [rad], with what it
@@ -156,14 +167,14 @@ class Traffic:
                 self._clear(leg.swept, other.route.goal, PLANNED) for leg in route.legs[:own]
             ):
                 return False
-            return self._complete(lane.here.end, route.legs, other.here.end, other.ahead, own)
+            return self._complete(lane.here.end, route.legs, other.stays, other.ahead, own)
         if other.route is not None:
             legs = (other.here, *(leg.swept for leg in other.ahead))
             if not all(self._clear(one, route.goal, PLANNED) for one in legs):
                 return False
             if not all(self._clear(leg.swept, other.route.goal, PLANNED) for leg in route.legs):
                 return False
-        return self._complete(lane.here.end, route.legs, other.here.end, other.ahead)
+        return self._complete(lane.here.end, route.legs, other.stays, other.ahead)
 
     def announce(self, who: int, route: Route, behind: bool = False) -> bool:
         """As :meth:`fits`; if so, the route is known from now on."""
@@ -176,6 +187,18 @@ class Traffic:
         lane.behind = None if other.placed else lane.after
         self.changes += 1
         return True
+
+    def begins(self, who: int, route: Route) -> None:
+        """An arm sets out on a route while the other one stands, whatever that means for later."""
+        lane = self.lanes[who]
+        lane.route, lane.ahead, lane.on_route, lane.stage = route, route.legs, True, ""
+        self.changes += 1
+
+    def holds(self, who: int, joints: np.ndarray) -> None:
+        """An arm stands at joints float64[n] [rad] and holds its block in its place, where that
+        belongs to the structure."""
+        self.over(who)
+        self.stands(who, joints, False)
 
     def lets_go(self, who: int) -> None:
         """An arm has let go of what it held; where that is its block in its place, whoever waits
@@ -217,6 +240,7 @@ class Traffic:
         self._over(who, placed=False)
         lane.left = lane.route.block if lane.route is not None else None
         lane.route, lane.ahead, lane.on_route, lane.moving = None, (), False, False
+        lane.halted = True
         self.changes += 1
 
     def _over(self, who: int, placed: bool) -> None:
@@ -251,7 +275,7 @@ class Traffic:
             free = clear(swept, comes.goal, APART)
         if free and on_route:
             first, second = self._waits(who, ahead), self._waits(1 - who, other.ahead)
-            free = self._complete(swept.end, ahead, other.here.end, other.ahead, first, second)
+            free = self._complete(swept.end, ahead, other.stays, other.ahead, first, second)
         if not free:
             lane.refused = self.changes
             return False
@@ -315,7 +339,7 @@ class Traffic:
         Args:
             here: where the one stands,
             legs: and what is ahead of it.
-            there: where the other one stands,
+            there: where the other one stands, or may,
             others: and what is ahead of it.
             first: this leg of the one and all after it come when the other one is done.
             second: the same of the other one.
@@ -381,7 +405,7 @@ class ArmInTraffic(WrappedPlant):
             Failure: where it would wait for ever.
         """
         lane, moves = self.traffic.lanes[self.who], bool(len(motion.joints))
-        moves = moves and bool(np.ptp(motion.joints, axis=0).any())
+        moves = moves and bool((np.ptp(motion.joints, axis=0) > STANDS).any())
         kept = (Guard(hold="kept"),) if any(one.hold == "kept" for one in guards) else ()
         waited: list[Report] = []
         while moves:

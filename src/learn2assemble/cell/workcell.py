@@ -115,21 +115,23 @@ class Job:
         return self.arm.base_position[:2]
 
 
-def job_of(plan: Plan, arm: str, joint: float, hands: bool = False) -> Job:
+def job_of(plan: Plan, arm: str, joint: float, hands: bool = False, holding: bool = False) -> Job:
     """What a complete plan asks of an arm.
 
     Args:
         hands: whether props may be placed and taken away by hand.
+        holding: whether blocks may be held; these steps are not part of the job.
 
     Raises:
         InputError: for steps that hold a block, and for blocks of too many convex parts.
     """
     assert plan.assembly is not None
     holds = sum(step.action == "hold" for step in plan.steps)
-    if holds:
+    if holds and not holding:
         expected = "a plan without holds; one arm has one hand"
         raise InputError("steps that hold a block", holds, expected)
-    steps = tuple(StepOf(step.block, step.action == "remove") for step in plan.steps)
+    moved = [step for step in plan.steps if step.action in ("place", "remove")]
+    steps = tuple(StepOf(step.block, step.action == "remove") for step in moved)
     placed = {step.block for step in steps}
     kept = [k for k in range(len(plan.assembly.blocks)) if k in placed]
     if len(kept) < len(plan.assembly.blocks):

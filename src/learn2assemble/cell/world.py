@@ -67,6 +67,9 @@ class WorkcellBlocks:
         self.beside = np.zeros((count, 3))
         """float64[N, 3]: how far from its place each is to stand now [m], see
         :attr:`StepOf.beside`."""
+        self.arm: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
+        """Where another arm stands: poses float64[7] and half extents float64[3] [m] of boxes
+        around it, which nothing may touch."""
         self.home: set[tuple[int, int]] = set()
         """Joints of studs that are pressed home: their lower and upper piece, -1 for the ground."""
         for n, source in enumerate(job.sources):
@@ -222,6 +225,9 @@ def rows_of(
         size, number = np.array(obstacle.size) / 2, len(world.pieces) + n
         turn = yaw_quaternion(obstacle.yaw)
         fixed.append((obstacle.middle, turn, number, size, None, OBSTACLE_DENSITY, -1, n))
+    for n, (pose, size) in enumerate(world.arm, len(fixed)):
+        number = len(world.pieces) + n
+        fixed.append((pose[:3], pose[3:], number, size, None, OBSTACLE_DENSITY, -1, n))
     columns = fixed + columns
     place, turn, number, half, hull, density, owner, part = zip(*columns, strict=True)
     carried = sum(len(world.pieces[k].shape) for k in taken)
@@ -236,19 +242,20 @@ def rows_of(
         np.array(turn),
         hull if any(hull) else None,
         table=(float(world.table[0]), float(world.table[1]), float(world.table[2])),
-        aside=_aside(world.job, len(place)),
+        aside=_aside(world, len(place)),
     )
     return Rows(scene, np.array(owner, np.int64), np.array(part, np.int64))
 
 
-def _aside(job: Job, count: int) -> np.ndarray | None:
+def _aside(world: WorkcellBlocks, count: int) -> np.ndarray | None:
     """See :attr:`~learn2assemble.robot.moves.Scene.aside`: another arm, and what that takes.
 
     Args:
         count: of the rows of the scene, of which obstacles are the first ones.
     """
-    found = np.zeros(count, bool)
-    found[: len(job.obstacles)] = [one.arm for one in job.obstacles]
+    found, fixed = np.zeros(count, np.int8), world.job.obstacles
+    found[: len(fixed)] = [one.arm for one in fixed]
+    found[len(fixed) : len(fixed) + len(world.arm)] = 2
     return found if found.any() else None
 
 

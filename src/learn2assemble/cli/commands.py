@@ -157,7 +157,11 @@ STATE = "build.jsonl"
         default=True,
         help="of the arm, build.mp4 (needs the extra video)",
     ),
-    arg("--tool", default=None, help="of the arm: suction (default), suction-side or gripper"),
+    arg(
+        "--tool",
+        default=None,
+        help="of the arm: suction (default), suction-side, suction-wide or gripper",
+    ),
     arg(
         "--physics",
         default="dynamic",

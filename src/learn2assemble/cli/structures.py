@@ -61,7 +61,9 @@ def _write_page(
     "l2a reach examples/designs/h.svg --arm panda --out out/reach",
     arg("design", metavar="DESIGN", help="a drawing, picture, mesh, voxels or blocks"),
     arg("--arm", action="append", required=True, help=f"{' or '.join(ARMS)}; twice for two arms"),
-    arg("--tool", default="suction", help="suction (default), suction-side or gripper"),
+    arg(
+        "--tool", default="suction", help="suction (default), suction-side, suction-wide or gripper"
+    ),
     reading_arguments,
     arg("--layout", type=named, default=None, metavar="FILE", help="with the base asked about"),
     arg("--out", type=named, default=None, metavar="DIR", help="write a page that shows it there"),

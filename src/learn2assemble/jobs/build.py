@@ -127,8 +127,8 @@ def build(
             60 and 20.
         progress: called with a line of text for everything that takes long, and every 1.5 s with
             how far it has come, the best so far and the time that is left.
-        tool: what the arm holds blocks with, ``"suction"`` (the default), ``"suction-side"`` or
-            ``"gripper"``.
+        tool: what the arm holds blocks with, ``"suction"`` (the default), ``"suction-side"``,
+            ``"suction-wide"`` or ``"gripper"``.
         physics: in which cell an exact plan is carried out, ``"dynamic"`` or ``"kinematic"``.
         noise: standard deviations of what is read of blocks while an exact plan is carried out:
             along each axis [m], about each axis [rad].

@@ -275,6 +275,7 @@ def team_plan(
         plan = plan_by_team(assembly, members, posts=posts, options=options, progress=progress)
         if how.physics == PLANNED or not plan.complete:
             return plan
+        from learn2assemble.cell.in_turn import build_in_turn
         from learn2assemble.cell.together import build_together
         from learn2assemble.cell.workcell import Workcell
 
@@ -289,7 +290,9 @@ def team_plan(
             log=how.state,
             hands=True,
         )
-        return build_together(plan, members, cell, joint=joint, progress=progress)
+        held = any(step.action == "hold" for step in plan.steps)
+        carried_out = build_in_turn if held else build_together
+        return carried_out(plan, members, cell, joint=joint, progress=progress)
 
     if isinstance(design, Assembly):
         return built(design, 0.0)

@@ -100,8 +100,9 @@ class Scene(NamedTuple):
     table: tuple[float, float, float] = LEVEL_TABLE
     """How high the table is at the origin [m], and by how much it leans about x and y [rad]."""
     aside: np.ndarray | None = None
-    """bool[n]: obstacles that stand at the side: ways lead past them, not above them, unless they
-    are between both ends of one; None: there are none."""
+    """int8[n]: 1: obstacles that stand at the side: ways lead past them, not above them, unless
+    they are between both ends of one; 2: parts of an arm that stands there: ways lead past them
+    wherever they are; None: there are none."""
 
     @property
     def halves(self) -> np.ndarray:
@@ -342,7 +343,7 @@ def _passed(scene: Scene, move: Move) -> np.ndarray:
     carries = np.linalg.norm(scene.position[members] - scene.position[move.cell], axis=1)
     size = float((carries + np.linalg.norm(scene.halves[members], axis=1)).max())
     room = np.hypot(*scene.halves[:, :2].T) + size + CLEARANCE
-    return scene.aside & (apart > room)
+    return (scene.aside == 2) | (scene.aside == 1) & (apart > room)
 
 
 def overload(arm: Arm, scene: Scene, move: Move) -> str | None:

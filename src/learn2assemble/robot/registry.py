@@ -18,7 +18,7 @@ TOOLS: Registry[Path] = Registry(
     "tool",
     {
         name: ASSETS / "tools" / name / "tool.toml"
-        for name in ("gripper", "suction", "suction-side")
+        for name in ("gripper", "suction", "suction-side", "suction-wide")
     },
 )
 """Every tool by name, and its file; ``gripper`` are the fingers an arm comes with."""

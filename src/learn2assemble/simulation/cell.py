@@ -194,7 +194,8 @@ class DynamicCell:
         failure = None
         try:
             known.settle("approach")
-            run.go()
+            run.bring()
+            run.leave()
             known.settle("home")
             speed = sim.speed(order.target)
             check_rest(order, sim.poses, speed, run.landed, self.shift_rule)

@@ -181,11 +181,15 @@ class Execution:
         """Whether the tool was told to hold."""
         self.landed = False
         """Whether it rested on something before the hand let go of it."""
+        self.unmoved = False
+        """Whether the tool has taken hold of the object, and has not moved it yet."""
         self.gone: int | None = None
         """After so many entries of the log it was lost."""
+        self.leaving: ApproachPath | None = None
+        """By which the hand leaves the place; None: it has not come there yet."""
 
-    def go(self) -> None:
-        """The whole of it.
+    def bring(self) -> None:
+        """Fetch the object and set it down; then it rests in its place, still in the hand.
 
         Raises:
             Failure: at the first thing that goes wrong; the arm has stopped.
@@ -200,15 +204,22 @@ class Execution:
         if self.order.scene.half is not None:
             # What is seen shall be where it sits, not how it swings.
             self.wait(CALM_TIME, "cross", LOADED)
-        place, leave = self.corrected()
+        place, self.leaving = self.corrected()
         self.lower(place, "place", LOADED, NEAR)
         if self.rig.guarded and not self.landed:
             detail = f"nothing is met {1e3 * self.order.below:.0f} mm below the place"
             raise Failure(Outcome.NO_CONTACT, "place", detail)
+
+    def leave(self) -> None:
+        """Let go of what rests in its place, and home.
+
+        Raises:
+            Failure: as :meth:`bring`.
+        """
         self.release("release", LOOSELY)
-        self.inside = leave
+        self.inside = self.leaving
         self.rise("retreat", LOOSELY)
-        self.travel(self.checked(course.home, "home"), "home")
+        self.travel(self.checked(self.course.home, "home"), "home")
 
     # ------------------------------------------------------------ what a plant is told
 
@@ -220,8 +231,10 @@ class Execution:
         Raises:
             Failure: where something was touched that should not be, or what was held is lost.
         """
+        before = self.joints
         report = self.rig.plant.execute(run, commands, guards)
         self.joints = report.joints
+        self.unmoved = self.unmoved and not np.abs(self.joints - before).max() > SAME
         self.log.append((run.stage, report.played or told(run, report)))
         if report.stop == Stop.FORCE:
             grasping = run.stage in ("approach", "pick", "lift")
@@ -310,7 +323,7 @@ class Execution:
         segments = approach_speed_limits(path, below, ((CAREFUL, CAREFUL_SPEED),), bounds)
         self.follow(path, bounds, "pick", (EMPTY,), segments)
         self.close()
-        self.holding = True
+        self.holding = self.unmoved = True
         grasp, load = self.course.plan.move.grasp, ToolCommand(load=self.mass())
         if grasp.sideways:
             out = int(np.searchsorted(rise, grasp.way - 1e-9)) + 1
@@ -618,6 +631,10 @@ def _put_back(run: Execution) -> None:
     """The way here backwards, and down where the object came from."""
     pick, across = run.course.plan.pick, run.course.across
     kept = Guard(hold="kept")
+    if run.unmoved:
+        # It is where it was taken, and lies on what it lay on.
+        run.release("release", BLIND)
+        return
     if run.inside is not pick:
         run.rise("place", kept)
         run.carry(np.vstack([run.joints, across[: run.segments_done + 1][-2::-1]]), kept)

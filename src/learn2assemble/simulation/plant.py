@@ -103,6 +103,11 @@ class DynamicPlant(DynamicWorld):
         """Of the clock of the cell [s]."""
         return self.simulated.time
 
+    def loosen(self) -> None:
+        """From now on every block may move; those that no motion touches are held still else."""
+        if not set(self.things) <= set(self.number):
+            self.enter(set(self.things))
+
     def rests(self) -> bool:
         """Whether nothing moves, so that nothing would change if time passed."""
         told = any(one.bench.sim.velocity.any() for one in self.plants)

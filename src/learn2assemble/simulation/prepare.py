@@ -80,6 +80,7 @@ def prepare(
     joints: np.ndarray | None,
     precheck: bool,
     following: np.ndarray | None = None,
+    near: np.ndarray | None = None,
 ) -> Course:
     """The course of an attempt.
 
@@ -91,6 +92,8 @@ def prepare(
         precheck: whether an occupied target is a failure already.
         following: float64[3] from the top of this object to where the top of the next one will
             be [m]: the arm takes the shortest ways there are, and waits above that.
+        near: float64[n], joints near which the arm shall be when the object is in its place, with
+            the hand as ordered [rad]; by default what meets least.
 
     Raises:
         Failure: where there is none.
@@ -98,7 +101,7 @@ def prepare(
     checker = WorldChecker(arm, world, order.poses, order.names)
     checker.empty(order.opening)
     start = rest_pose(arm, checker) if joints is None else joints
-    plan = _plan(checker, order, start, returns=following is not None)
+    plan = _plan(checker, order, start, following is not None, near)
     placed = order.in_world(plan.move.grasp, plan.move.place)
     if precheck:
         checker.put(order.target, *placed, order.opening)
@@ -196,7 +199,13 @@ def rest_pose(arm: Arm, checker: WorldChecker) -> np.ndarray:
     return arm.home
 
 
-def _plan(checker: WorldChecker, order: Order, start: np.ndarray, returns: bool) -> Approaches:
+def _plan(
+    checker: WorldChecker,
+    order: Order,
+    start: np.ndarray,
+    returns: bool,
+    near: np.ndarray | None = None,
+) -> Approaches:
     """As ordered or with the hand turned: whatever meets less, then what turns less on the way.
 
     Args:
@@ -204,12 +213,14 @@ def _plan(checker: WorldChecker, order: Order, start: np.ndarray, returns: bool)
         order: what is asked.
         start: float64[n] where the arm is [rad].
         returns: whether it waits where it takes the object, not at home, when that is in its place.
+        near: as of :func:`prepare`.
     """
     arm, height, given = checker.arm, order.height, order.move
     found: list[tuple[float, float, Approaches]] = []
     sized = order.scene.half is not None
     reasons: list[Failure] = []
-    others = (turned(order.scene, given, turn) for turn in turns(arm, given))
+    some = turns(arm, given) if near is None else ()
+    others = (turned(order.scene, given, turn) for turn in some)
     for move in (given, *others):
         centre = order.scene.position[move.cell]
         checker.empty(order.opening)
@@ -220,7 +231,7 @@ def _plan(checker: WorldChecker, order: Order, start: np.ndarray, returns: bool)
             continue
         checker.carry(order.target, *order.in_hand(move.grasp), order.held)
         over = tool_path(move.target, move.place, height, upwards=True)
-        place = _choose(checker, approach_paths(arm, over, order.below), None, sized)
+        place = _choose(checker, approach_paths(arm, over, order.below, near), None, sized)
         if isinstance(place, str):
             reasons.append(Failure(Outcome.UNREACHABLE, "place", place))
             continue

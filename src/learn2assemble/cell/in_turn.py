@@ -1,0 +1,332 @@
+"""Two arms carry out a plan in which one holds a block while the other one brings the next: one
+after the other, in the order of the plan.
+
+Only one of them moves at a time. An arm whose block is to be held stays when it has set it down,
+with the tool closed on it; to the other one it is a thing that stands there, and ways lead past it.
+Letting go is a step of its own: the arm plans anew how it leaves, among what stands there by then.
+An arm that cannot go on, or is stopped, goes on holding.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from itertools import islice
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from learn2assemble.assembly.hands import Hand
+from learn2assemble.cell.arrange import Arranged, Structure
+from learn2assemble.cell.building import Building, Prepared
+from learn2assemble.cell.crew import ArmCrew, Member, Reached
+from learn2assemble.cell.pair import Pair, jobs_of, workcell_of
+from learn2assemble.cell.reach import cells_of
+from learn2assemble.cell.state import Action
+from learn2assemble.cell.together import Cell, Together, built_by, simulated
+from learn2assemble.cell.traffic import STANDS, route_of
+from learn2assemble.cell.workcell import TRIES, Progress, Workcell
+from learn2assemble.cell.world import STANDING, Rows, rows_of, supply_of
+from learn2assemble.errors import InputError
+from learn2assemble.geometry.rotations import matrix_quaternion
+from learn2assemble.motion.plant import Guard, Motion, PlantError, Stop
+from learn2assemble.motion.setup import Setup
+from learn2assemble.planning.plan import Plan, Step
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.capsules import capsules_of, placed
+from learn2assemble.robot.kinematic import KinematicCell
+from learn2assemble.robot.kinematics import get_chain
+from learn2assemble.robot.moves import Move
+from learn2assemble.simulation.execution import Execution
+from learn2assemble.statics.states import State
+
+MOST = 12
+"""Ways of an arm to bring a block that are tried."""
+TURN = 0.04
+"""Between two looks whether it is the turn of an arm [s]."""
+KEPT = Guard(hold="kept")
+GIVES, AT_ONCE = 0.3, STANDS
+"""Of how far the joints of an arm that holds are off, so much is taken back every time, and no more
+than this [rad]."""
+
+
+def build_in_turn(
+    plan: Plan,
+    members: Sequence[Member],
+    workcell: Workcell,
+    *,
+    joint: float = 1e-4,
+    progress: Progress = lambda text: None,
+    opened: Callable[[Setup], Any] | None = None,
+) -> Plan:
+    """As :func:`~.together.build_together`, a plan with steps that hold a block.
+
+    Raises:
+        InputError: where the build is to be kept in a file, from which it could not go on: what
+            was in a hand would have been taken out of it.
+    """
+    started = time.perf_counter()
+    if workcell.log is not None:
+        raise InputError("--resume", "steps that hold a block", "a plan without them")
+    crew, ways = gather_in_turn(plan, members, workcell, joint), ways_of(plan, members)
+    both = InTurn(crew, opened or simulated, plan.steps, ways)
+    return built_by(both, plan, progress, started)
+
+
+class Brought(NamedTuple):
+    """How a step of the plan is done by an arm."""
+
+    ways: tuple[Reached, ...]
+    """With the grasp that the proof counts on, where the block is held afterwards."""
+
+
+def ways_of(plan: Plan, members: Sequence[Member]) -> dict[int, Brought]:
+    """By number of a step that places a block, how its arm brings that, as it was planned.
+
+    Args:
+        plan: complete, by these arms.
+        members: the arms.
+    """
+    assert plan.assembly is not None
+    blocks, made = plan.assembly.blocks, plan.assembly.steps
+    crew, nothing = ArmCrew(members, blocks), np.zeros(len(blocks), bool)
+    state, found = State(nothing, nothing.copy()), dict[int, Brought]()
+    for n, step in enumerate(plan.steps):
+        after = plan.steps[n + 1] if n + 1 < len(plan.steps) else None
+        if step.action == "place":
+            hand: Hand | None = None
+            if after is not None and (after.action, after.block) == ("hold", step.block):
+                hand = made[n + 1].hand
+            if step.arm is not None:
+                some = crew.reached(step.block, state, step.arm, hand)
+                found[n] = Brought(tuple(islice(some, MOST)))
+            state = state.change(place=[step.block])
+        elif step.action == "remove":
+            state = state.change(remove=[step.block])
+        elif step.action == "hold":
+            hand = made[n].hand
+            assert hand is not None
+            state = state.change(hold=[step.block], hand=hand)
+        else:
+            state = state.change(release=[step.block])
+    return found
+
+
+def gather_in_turn(
+    plan: Plan, members: Sequence[Member], workcell: Workcell, joint: float = 1e-4
+) -> Pair:
+    """Two arms with magazines of their own and all steps of a plan, whoever does them.
+
+    Args:
+        plan: complete, of dry blocks; by these arms.
+        members: the arms, see :func:`~.team.set_up_team`.
+        workcell: how they build.
+        joint: width of a vertical joint [m].
+    """
+    jobs = jobs_of(plan, members, workcell, joint, holding=True)
+    structure = Structure(jobs[0])
+    hands = frozenset(
+        step
+        for step, told in zip(
+            jobs[0].steps, (s for s in plan.steps if s.action in ("place", "remove")), strict=True
+        )
+        if told.by_hand
+    )
+    order = Arranged(jobs[0].steps, {}, hands)
+    first, second = (
+        Prepared(job, structure, order, KinematicCell(job.arm, cells_of(job))) for job in jobs
+    )
+    one, other = (workcell_of(workcell, job) for job in jobs)
+    return Pair((first, second), (one, other), (members[0].name, members[1].name))
+
+
+class InTurnBuilding(Building):
+    """What one of the arms does and knows."""
+
+    ways: Brought = Brought(())
+    """Of the block that it is about to bring."""
+
+    def _way(self, action: Action, skip: int) -> tuple[Move | None, str, Rows]:
+        """One of the ways that were planned."""
+        k = action.block
+        poses = self.world.pose.copy()
+        poses[k] = self.world.resting(k)
+        rows = rows_of(self.world, poses, k)
+        if skip >= len(self.ways.ways):
+            return None, "none of the planned ways is free", rows
+        way = self.ways.ways[skip]
+        self.attempts.near = way.joints
+        mine = (rows.owner == k) & (rows.part == way.part)
+        off = action.goal[:3] - self.world.drawn(k)[:3]
+        move = way.move._replace(cell=int(np.flatnonzero(mine)[0]), target=way.move.target + off)
+        return move, "", rows
+
+
+class InTurn(Together[Cell]):
+    """A build by two arms, one after the other.
+
+    Args:
+        crew: of :func:`gather_in_turn`.
+        opened: as of :class:`~.together.Together`.
+        steps: of the plan.
+        ways: of :func:`ways_of`.
+    """
+
+    building_of = InTurnBuilding
+
+    def __init__(
+        self,
+        crew: Pair,
+        opened: Callable[[Setup], Cell],
+        steps: Sequence[Step],
+        ways: dict[int, Brought],
+    ) -> None:
+        super().__init__(crew, opened)
+        self.steps, self.ways = steps, ways
+        self.now = 0
+        """Number of the step whose turn it is."""
+        self.over: str | None = None
+        """Why it cannot go on."""
+        self.holds: list[int | None] = [None, None]
+        """The block that each arm holds in its place."""
+        for who, building in enumerate(self.buildings):
+            building.goes_home = True
+            building.attempts.announce = self._beginner(who)
+            building.attempts.stays = self._holder(who)
+
+    def _attempts(self, who: int, progress: Progress) -> str | None:
+        building = self.buildings[who]
+        building._look()
+        while self.now < len(self.steps) and self.over is None:
+            step = self.steps[self.now]
+            if step.action in ("hold", "release") and step.block not in self.holds:
+                self.over = f"step {self.now + 1}: nobody holds the block any more"
+            elif self._whose(step) != who:
+                self._wait(who)
+            else:
+                self.over = self._do(who, step, progress)
+        return self.over
+
+    def _whose(self, step: Step) -> int | None:
+        """The arm that does a step, or sees to it that it is done by hand; None: one that holds a
+        block lets go of it."""
+        if step.action in ("hold", "release"):
+            return None
+        names = [one.name for one in self.worked]
+        if step.arm in names:
+            return names.index(step.arm)
+        return 0 if self.holds[0] is None else 1
+
+    def _do(self, who: int, step: Step, progress: Progress) -> str | None:
+        """A step; why it was not done."""
+        building, number = self.buildings[who], self.now
+        known, k = building.known, step.block
+        known.elsewhere = set()
+        what = "hand" if step.by_hand else step.action
+        source = None
+        for _ in range(TRIES):
+            if what == "place":
+                places = supply_of(building.world, k)
+                if not places:
+                    return f"no {building.world.pieces[k].name} is left in the supply"
+                source = places[0]
+                assert isinstance(building, InTurnBuilding)
+                building.ways = self.ways[number]
+            building.world.arm = self._other_stands(who)
+            self._act(who, Action(k, known.fitted(k), what, source), progress)
+            self.holds[who] = None
+            done = building.world.state[k] == STANDING
+            if done != (step.action == "remove"):
+                # An attempt in which it was held has gone on to where that is let go.
+                self.now += 1
+                return None
+            if self.now > number:
+                break
+        last = known.done[-1].detail if known.done else ""
+        why = known.refused.get(k) or last
+        return f"step {self.now + 1}: {building.world.pieces[k].id}: {why}"
+
+    # ------------------------------------------------------------ the other arm
+
+    def _other_stands(self, who: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        """Boxes around the other arm where it stands."""
+        other = self.buildings[1 - who]
+        return boxes_of(other.job.arm, other.plant.sense().joints)
+
+    def _beginner(self, who: int) -> Callable[[Execution, str], bool]:
+        def begin(run: Execution, block: str) -> bool:
+            self.moves[who] = self.buildings[who].world.names.index(block)
+            route = route_of(run, block)
+            # What has to be free of it is looked at motion by motion: nobody else moves.
+            self.traffic.begins(who, route._replace(legs=()))
+            return True
+
+        return begin
+
+    # ------------------------------------------------------------ holding
+
+    def _holder(self, who: int) -> Callable[[Execution], None]:
+        """What an arm does when its block rests in its place."""
+
+        def holds(run: Execution) -> None:
+            building, k = self.buildings[who], self.moves[who]
+            following = self.steps[self.now + 1 : self.now + 2]
+            if not following or (following[0].action, following[0].block) != ("hold", k):
+                return
+            world, sight = building.world, building.sight
+            run.rig.senses.look()
+            world.state[k], world.pose[k] = STANDING, sight.held_pose(building.plant.sense().joints)
+            self.holds[who] = k
+            self.traffic.holds(who, run.joints)
+            self._tell(who, {k})
+            self.now += 2
+            there = building.plant.sense().joints
+            while (self.steps[self.now].action, self.steps[self.now].block) != ("release", k):
+                if self.over is not None:
+                    sight.let_go()  # It stands in its place, whoever takes it over.
+                    raise PlantError(Stop.REFUSED, f"{self.over}; it holds {world.pieces[k].id}")
+                self.plant.loosen()
+                keep(run, there)
+            world.arm = self._other_stands(who)
+            building.attempts.leave_anew(run, rows_of(world, world.pose, k))
+
+        return holds
+
+
+def keep(run: Execution, there: np.ndarray) -> None:
+    """Hold for a while.
+
+    Drives give way under a load like springs. The arm is told to be as far on the other side of
+    where it was, so that the hand comes back to there.
+
+    Args:
+        run: of the arm.
+        there: float64[n], as the joints were sensed when the block came to rest [rad].
+    """
+    off = there - run.rig.plant.sense().joints
+    told = run.joints + np.clip(GIVES * off, -AT_ONCE, AT_ONCE)
+    joints = np.array([run.joints, told])
+    run.do(Motion("place", np.array([0.0, TURN]), joints, np.zeros_like(joints)), (KEPT,))
+
+
+def boxes_of(arm: Arm, joints: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """Boxes around an arm that stands at joints float64[n] [rad], and what others keep from it:
+    poses float64[7] and half extents float64[3] [m]."""
+    capsules = capsules_of(arm)
+    found = []
+    lines = placed(get_chain(arm), capsules, joints[None].copy())[0]
+    for (a, b), radius in zip(lines, capsules.radius.tolist(), strict=True):
+        axis, length = b - a, float(np.linalg.norm(b - a))
+        z = axis / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
+        x = np.cross(z, [0.0, 0.0, 1.0] if abs(z[2]) < 0.9 else [1.0, 0.0, 0.0])
+        x /= np.linalg.norm(x)
+        turn = np.stack([x, np.cross(z, x), z], 1)
+        wide = radius + ROOM
+        pose = np.array([*(a + b) / 2, *matrix_quaternion(turn)])
+        found.append((pose, np.array([wide, wide, length / 2 + wide])))
+    return tuple(found)
+
+
+ROOM = 0.012
+"""That boxes around an arm are larger than it on all sides [m]: ways keep from them what is certain
+of planned ways, 3 mm at least."""

@@ -1,0 +1,166 @@
+"""Two arms of which one holds a block while the other one brings the next, in the dynamic cell."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import learn2assemble as l2a
+from l2a_lab.arm_distances import WatchedCell
+from learn2assemble.assembly.blocks import Assembly, box_block
+from learn2assemble.cell import in_turn
+from learn2assemble.cell.crew import LIP_ROOM, ArmCrew, Member
+from learn2assemble.cell.in_turn import boxes_of, build_in_turn
+from learn2assemble.cell.site import Site
+from learn2assemble.cell.site_arms import SiteArm
+from learn2assemble.cell.team import plan_by_team, set_up_team
+from learn2assemble.cell.workcell import Workcell
+from learn2assemble.errors import InputError
+from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.motion.record import find_fault
+from learn2assemble.planning.plan import Plan
+from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.capsules import capsules_of, placed
+from learn2assemble.robot.kinematics import get_chain
+from learn2assemble.simulation.execution import Execution
+from learn2assemble.statics.states import State
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "structures"
+ARMS = SiteArm("one", "panda"), SiteArm("two", "panda")
+OFF = 1e-3
+"""So far from its place a block may be [m]."""
+
+
+@pytest.fixture(scope="module")
+def planned() -> tuple[Plan, list[Member]]:
+    """A beam that falls off its pier until a stone stands on its end."""
+    pier = box_block("pier", (-0.12, -0.05, 0.0), (0.0, 0.05, 0.06), density=2000.0)
+    beam = box_block("beam", (-0.12, -0.05, 0.06), (0.34, 0.05, 0.09), density=500.0)
+    stone = box_block("stone", (-0.12, -0.05, 0.09), (0.0, 0.05, 0.15), density=2000.0)
+    assembly = Assembly((pier, beam, stone), friction=0.6)
+    members = set_up_team(assembly, ARMS, Site())
+    options = {"friction": None, "gap": None, "seconds": 60.0}
+    return plan_by_team(assembly, members, posts=False, options=options), members
+
+
+def built(planned: tuple[Plan, list[Member]]) -> tuple[Plan, WatchedCell]:
+    cells: list[WatchedCell] = []
+
+    def opened(setup: Any) -> WatchedCell:
+        cells.append(WatchedCell(setup))
+        cells[-1].places = {piece.id: piece.pose for piece in members[0].job.pieces}
+        return cells[-1]
+
+    plan, members = planned
+    done = build_in_turn(plan, members, Workcell("panda", hands=True), joint=0.0, opened=opened)
+    return done, cells[0]
+
+
+def off(plan: Plan, cell: WatchedCell) -> dict[str, float]:
+    """How far blocks really are from their places [m]."""
+    assert plan.assembly is not None
+    middles = {b.id: (b.vertices.min(0) + b.vertices.max(0)) / 2 for b in plan.assembly.blocks}
+    return {k: float(np.linalg.norm(p[:3] - middles[k])) for k, p in cell.truth().items()}
+
+
+def test_one_arm_holds_until_the_other_one_has_placed_the_next_block(
+    planned: tuple[Plan, list[Member]], tmp_path: Path
+) -> None:
+    done, cell = built(planned)
+    assert done.complete, done.reason
+    told = [(s.action, s.block, s.arm) for s in done.steps]
+    assert told == [(s.action, s.block, s.arm) for s in planned[0].steps]
+    assert ("hold", 1) in [one[:2] for one in told]
+    away = off(done, cell)
+    assert set(away) == {"pier", "beam", "stone"}
+    assert max(away.values()) < OFF
+    # Everything may move by then, and nothing does.
+    cell.loosen()
+    before = cell.truth()
+    cell.come_to_rest()
+    moved = [np.linalg.norm(p[:3] - before[k][:3]) for k, p in cell.truth().items()]
+    assert max(moved) < 1e-4
+    assert cell.least().distance >= 0.010
+    assert [find_fault(record) for record in done.records] == [None, None]
+    spans = {
+        done.steps[one.plan_step - 1].block: (one.grip, one.release)
+        for record in done.records
+        for one in record.steps
+        if one.plan_step is not None
+    }
+    (taken, left), (_, placed_at) = spans[1], spans[2]
+    assert taken is not None
+    assert left is not None
+    assert placed_at is not None
+    assert taken < placed_at < left
+    done.save(tmp_path)
+    again = l2a.load_plan(tmp_path)
+    assert [s.action for s in again.steps] == [s.action for s in done.steps]
+
+
+def test_without_its_hold_the_beam_falls(
+    planned: tuple[Plan, list[Member]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lets_go(self: Any, who: int) -> Any:
+        def passes(run: Execution) -> None:
+            self.now += 2 * (self.steps[self.now + 1].action == "hold")
+
+        return passes
+
+    monkeypatch.setattr(in_turn.InTurn, "_holder", lets_go)
+    done, _ = built(planned)
+    assert not done.complete
+    failures = [one.detail for arm in done.arms if arm.did for one in arm.did.failures]
+    assert any("beam leans by" in one for one in failures), failures
+
+
+def test_what_is_in_a_hand_cannot_be_gone_on_with_from_a_file(
+    planned: tuple[Plan, list[Member]], tmp_path: Path
+) -> None:
+    plan, members = planned
+    with pytest.raises(InputError, match="steps that hold a block"):
+        build_in_turn(plan, members, Workcell("panda", log=tmp_path / "build.jsonl"))
+
+
+def test_boxes_around_an_arm_contain_it() -> None:
+    rng = np.random.default_rng(0)
+    for name in ("panda", "ur5e"):
+        arm = get_arm(name, "suction", (0.1, -0.4, 0.0, 1.0))
+        capsules = capsules_of(arm)
+        joints = arm.home + rng.normal(0, 0.3, len(arm.home))
+        lines = placed(get_chain(arm), capsules, joints[None].copy())[0]
+        for (pose, half), (a, b), radius in zip(
+            boxes_of(arm, joints), lines, capsules.radius, strict=True
+        ):
+            ways = rng.normal(size=(50, 3))
+            ways *= radius / np.linalg.norm(ways, axis=1)[:, None]
+            points = a + rng.random((50, 1)) * (b - a) + ways
+            own = (points - pose[:3]) @ quaternion_matrix(pose[3:])
+            assert (np.abs(own) <= half - 0.01).all()
+
+
+def test_a_cup_that_is_moved_aside_stays_on_its_face() -> None:
+    arch = runpy.run_path(str(EXAMPLES / "arch.py"))["arch"](9)
+    members = set_up_team(arch, [SiteArm("one", "ur5e"), SiteArm("two", "panda")], Site())
+    crew, nothing = ArmCrew(members, arch.blocks), np.zeros(9, bool)
+    found = crew._reached(0, 0, State(nothing, nothing.copy()))
+    moved = [one.move for one in found if any(one.move.place.aside)]
+    assert moved
+    piece, suction = crew.worlds[0].pieces[0], members[0].job.arm.suction
+    assert suction is not None
+    for move in moved:
+        point, axis = move.place.tool_point(move.target), move.place.approach()
+        middle = piece.pose[:3] + piece.turn @ np.array(piece.shape[0].centre)
+        solid = piece.shape[0].solid
+        normals = solid.normals @ piece.turn.T
+        depth = solid.offsets - (point - middle) @ normals.T
+        face = int(np.argmin(normals @ axis))
+        assert abs(depth[face]) < 1e-6
+        slope = np.linalg.norm(np.cross(normals, normals[face]), axis=1)
+        others = slope > 1e-6
+        room = depth[others] / slope[others]
+        assert room.min() >= suction.cups[0].radius + LIP_ROOM - 1e-6
