@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from l2a_lab.arm_distances import MOMENTS
-from l2a_lab.two_arms import EIGHT, stops_told, table
+from l2a_lab.two_arms import EIGHT, holds_told, stops_told, table
 
 ROOT = Path(__file__).resolve().parents[2]
 ENTRIES: dict[str, Any] = json.loads(
@@ -21,6 +21,7 @@ def test_the_table_of_the_documents_is_that_of_the_file() -> None:
     rows = [line for line in own.splitlines() if line.startswith("|")]
     assert rows == table(ENTRIES).splitlines()
     assert stops_told(ENTRIES) in own
+    assert holds_told(ENTRIES) in own
 
 
 def test_the_eight_have_as_many_blocks_as_is_said() -> None:
