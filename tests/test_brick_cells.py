@@ -16,6 +16,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.export.formats import export_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.bricks import slabs_of
+from learn2assemble.statics.holding import Balance
 from test_brick_order import replay
 
 
@@ -221,3 +222,29 @@ def test_walls_of_a_hollow_body_are_as_thick_up_as_along() -> None:
     assert (filled(plan, (7, 7, 18))[2:5, 2:5, 6:12] == 0).all()
     assert plan.cells is not None
     assert plan.cells.wanted == 7 * 7 * 18 - 3 * 3 * 6
+
+
+def ball(wide: int) -> np.ndarray:
+    """Cells of a ball, 1.2 times as high as wide."""
+    axis = np.arange(wide) - (wide - 1) / 2
+    high = np.arange(round(wide / 1.2)) * 1.2 - (wide - 1.2) / 2
+    x, y, z = np.meshgrid(axis, axis, high, indexing="ij")
+    return x**2 + y**2 + z**2 <= (wide / 2) ** 2
+
+
+def test_a_hollow_ball_is_proven_from_forces_of_states_near(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Pushes of contact points alone do not carry it; with level forces all states follow."""
+    asked: list[int] = []
+    stands = Balance.stands
+
+    def counted(self: Balance, *args: Any, **words: Any) -> bool:
+        asked.append(1)
+        return stands(self, *args, **words)
+
+    monkeypatch.setattr(Balance, "stands", counted)
+    plan = l2a.build(ball(24), kit="lego", shell=2, hands=True)
+    assert plan.status == "complete"
+    assert plan.blocks.used > 500
+    assert len(asked) < plan.blocks.used / 10

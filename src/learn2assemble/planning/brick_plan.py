@@ -12,7 +12,7 @@ from learn2assemble.planning.given_plan import plan_of
 from learn2assemble.planning.orders import BrickOrder
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.sequence import Sequenced, SequenceStep, Supports
-from learn2assemble.statics.holding_check import stands_by_joints, words_of
+from learn2assemble.statics.holding_check import JointAnswer, stands_by_joints, words_of
 from learn2assemble.statics.proofs import CLUTCH, CLUTCH_TIGHT
 
 VERIFIED = "balance of joints that hold, in every step, also under its press"
@@ -45,6 +45,7 @@ def plan_bricks(
     help_: Supports,
     clock: Clock,
     progress: Callable[[str], None],
+    answer: JointAnswer | None = None,
 ) -> Plan:
     """Order and proof of bricks.
 
@@ -56,13 +57,14 @@ def plan_bricks(
         help_: what may help.
         clock: limits the search.
         progress: called with a line of text for everything that takes long.
+        answer: whether all of it stands, where that is known.
 
     Raises:
         InputError: for blocks that are no bricks on one lattice.
     """
     started = time.perf_counter()
     found, note = None, None
-    order = BrickOrder(assembly.finished if assembly.steps else assembly)
+    order = BrickOrder(assembly.finished if assembly.steps else assembly, answer)
     if assembly.steps:
         found, note = order.follow(assembly.steps, help_)
     if found is None:

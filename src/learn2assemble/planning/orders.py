@@ -33,7 +33,7 @@ from learn2assemble.planning.sequence import (
     list_ids,
     reported,
 )
-from learn2assemble.statics.holding_check import stands_by_joints, words_of
+from learn2assemble.statics.holding_check import JointAnswer, stands_by_joints, words_of
 from learn2assemble.statics.laws import ByForces, ByLoads, ByMortar, ByStrength, Law
 from learn2assemble.statics.rigid_blocks import SIDE
 from learn2assemble.statics.states import State
@@ -333,14 +333,15 @@ class BrickOrder:
 
     Args:
         assembly: bricks on a lattice of studs whose joints clutch; steps are not looked at.
+        answer: whether all of it stands, where that is known.
 
     Raises:
         InputError: for blocks that are no bricks on one lattice.
     """
 
-    def __init__(self, assembly: Assembly) -> None:
+    def __init__(self, assembly: Assembly, answer: JointAnswer | None = None) -> None:
         self.blocks, self.assembly = assembly.blocks, replace(assembly, steps=())
-        found = stands_by_joints(self.assembly)
+        found = stands_by_joints(self.assembly) if answer is None else answer
         self.need, self.law = found.need, ByStrength(self.assembly, found)
 
     def find(

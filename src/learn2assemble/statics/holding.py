@@ -100,7 +100,7 @@ class Balance:
         self.fixed = np.array([block.support for block in blocks])
         self.weight = GRAVITY * np.array([block.mass for block in blocks])
         centre = np.array([block.centroid for block in blocks])
-        self._centre = centre
+        self._centre, self._blocks = centre, blocks
         self.unit = float(self.weight.mean())
         self._length = float(np.cbrt(np.median([block.volume for block in blocks])))
         self.kept = np.arange(len(forces.upright)) if sides else np.flatnonzero(forces.upright)
@@ -151,6 +151,14 @@ class Balance:
         self._started, self._least = False, True
 
     # ------------------------------------------------------------ the program
+
+    @cached_property
+    def downwards(self) -> np.ndarray:
+        """int64[count]: all blocks, those that reach highest first."""
+        low = np.array([block.vertices.min(0) for block in self._blocks])
+        high = np.array([block.vertices[:, 2].max() for block in self._blocks])
+        x, y, top = np.round(np.column_stack([low[:, :2], high]), 6).T
+        return np.lexsort((y, x, -top))
 
     @cached_property
     def wrench(self) -> sp.csc_matrix:

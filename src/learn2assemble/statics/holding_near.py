@@ -1,13 +1,18 @@
 """Forces of one state of bricks, changed where something changes, as the proof of the next one.
 
 Where bricks clutch, the contact points of a joint push as much as they can pull where nothing is
-asked of it, so that weights and presses only shift what they push: level forces and couples about
-the vertical are left out. States that follow each other while one builds differ by a few bricks,
-and what those lack of a balance that lost or got a joint is passed on, brick by brick, to those
-that are nearer to the ground. What comes of it is looked at whole: where every brick is balanced
-and no contact point pulls more than it can, the state stands. Where that fails, what is lacking is
-spread over all joints at once as if they were elastic; and where that fails, too, nothing is said,
-and the program of all bricks (:mod:`.holding`) decides, which knows all forces.
+asked of it, so that weights and presses only shift what they push. States that follow each other
+while one builds differ by a few bricks, and what those lack of a balance that lost or got a joint
+is passed on, brick by brick, to those that are nearer to the ground, by pushes alone.
+
+Where that does not do, a *base* is looked for: a state of which the highest bricks are left out,
+and its forces as if all joints were elastic, level ones and couples about the vertical too, which
+knobs bear without a limit. States that have a few bricks more pass on what these weigh to the base,
+which bears it elastically; its factors are made once.
+
+What comes of it is looked at whole: where every brick is balanced and no contact point pulls more
+than it can, the state stands. Where all fails, nothing is said, and the program of all bricks
+(:mod:`.holding`) decides, which knows all forces.
 """
 
 from __future__ import annotations
@@ -18,11 +23,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 from numba import njit
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from learn2assemble.statics.holding import Balance, Push
 from learn2assemble.statics.holding_forces import Forces
-from learn2assemble.statics.holding_solver import by_cones
+from learn2assemble.statics.holding_solver import nearest
 
 _KEPT = 4
 """States whose forces are kept to go on from."""
@@ -37,13 +43,21 @@ _SPREAD, _LOST, _NEAR = 8, 4.0, 0.9
 push one step may take away."""
 _SOFT = 1e-9
 """What keeps factors from being singular, and bricks without a joint from moving."""
+_LEVEL = 100.0
+"""How stiff a level force, or a couple about the vertical, is beside a push in the middle."""
+_SPARE = 0.02
+"""Share of the push that a program of elastic joints leaves everywhere."""
+_FEWER = 0.9
+"""Share of the bricks at which pushes alone are tried again, once they did not do."""
+_OPEN = 64
+"""Bricks by which states may have more than their base."""
 _SYMMETRIC: Any = {
     "permc_spec": "MMD_AT_PLUS_A",
     "diag_pivot_thresh": 0.0,
     "options": {"SymmetricMode": True},
 }
 """Factors of a positive definite matrix, without a search for pivots, which would fill them."""
-_PARTS = 2, 3, 4
+_PARTS = np.array([2, 3, 4])
 """Of the six rows of a block: its weight, and the couples about the level axes."""
 
 
@@ -53,7 +67,23 @@ class _Balanced(NamedTuple):
     present: np.ndarray
     held: np.ndarray
     size: np.ndarray
-    """float64[n]: of the pushes [mean weights]."""
+    """float64[n]: of pushes, level forces and couples [mean weights]."""
+
+
+class _Base(NamedTuple):
+    """A state, and how it bears more elastically."""
+
+    state: _Balanced
+    rows: np.ndarray
+    """int64[m]: of the bricks that nothing holds."""
+    columns: np.ndarray
+    """int64[n]: forces between its bricks."""
+    stiff: np.ndarray
+    """float64[n]: of these."""
+    across: sp.csr_matrix
+    """[n, m]: motions of these that motions of the bricks bring."""
+    factors: Any
+    """Of their matrix."""
 
 
 class NearForces:
@@ -66,32 +96,34 @@ class NearForces:
 
     def __init__(self, balance: Balance, forces: Forces) -> None:
         self.balance, count = balance, balance.count
-        even = _even(balance, forces)
-        self._which = which = np.flatnonzero(even)
-        self._even, self._least = even[which], _LEAST * even[which]
+        even, level = _even(balance, forces), np.isinf(balance.columns.lower)
+        self._which = which = np.flatnonzero((even > 0) | level)
+        self._even, self._level = even[which], level[which]
+        self._least = np.where(self._level, -np.inf, _LEAST * self._even)
+        unit = float(np.median(even[even > 0])) if (even > 0).any() else 1.0
+        self._stiff = _LEVEL * unit
         a, b = balance.bodies
         self._bodies = a[which], b[which]
-        self._rows = (6 * np.arange(count)[:, None] + _PARTS).reshape(-1)
-        self._matrix = balance.wrench[:, which][self._rows].tocsr()
+        self._matrix = balance.wrench[:, which].tocsr()
         self._joints = _JointSums(self._matrix, self._bodies, count)
+        pairs = np.unique(np.column_stack(self._bodies)[~self._level], axis=0)
+        self._pairs = pairs.T
+        self._below: list[list[int]] = [[] for _ in range(count)]
+        """Of each brick those that it is on."""
+        for lower, upper in pairs[pairs[:, 0] >= 0].tolist():
+            self._below[upper].append(lower)
         self._known: list[_Balanced] = []
+        self._base: _Base | None = None
+        self._pushed = count + 1
+        """Bricks below which pushes alone are tried."""
         everything = np.ones(count, bool)
-        self.begin(everything, ~everything, thorough=True)
+        self.begin(everything, ~everything)
 
-    def begin(self, present: np.ndarray, held: np.ndarray, thorough: bool = False) -> None:
-        """Go on from a state that stands, where it does so with strength to spare.
-
-        Args:
-            thorough: whether a program of these forces is asked where spreading finds none.
-        """
-        on = self.balance.on(self._bodies, present)
-        free = present & ~self.balance.fixed & ~held
-        size = np.where(on, self._even, 0.0)
-        made = self._spread(size, on, free, self._load(present, None))
-        if made is None and thorough:
-            made = self._by_program(present, on, free)
+    def begin(self, present: np.ndarray, held: np.ndarray) -> None:
+        """Go on from a state that stands, where it does so with strength to spare."""
+        made = self._elastic(present, held, thorough=True)
         if made is not None:
-            self._keep(present, held, made)
+            self._keep(present, held, made.state.size)
 
     def _keep(self, present: np.ndarray, held: np.ndarray, size: np.ndarray) -> None:
         self._known = [_Balanced(present.copy(), held.copy(), size), *self._known[: _KEPT - 1]]
@@ -101,7 +133,6 @@ class NearForces:
         present: np.ndarray,
         held: np.ndarray,
         push: Push | None = None,
-        thorough: bool = True,
     ) -> bool:
         """Whether a proof is found; where none is, the state may stand all the same.
 
@@ -109,82 +140,186 @@ class NearForces:
             present: bool[count], the blocks that are there.
             held: bool[count], those of them that a hand holds.
             push: a further force on a block.
-            thorough: whether what is lacking is spread over all joints, too.
         """
         if push is not None and push.force == 0:
             push = None
         if not self._known:
             return False
         differ = [int((k.present != present).sum() + (k.held != held).sum()) for k in self._known]
-        nearest = int(np.argmin(differ))
-        known = self._known.pop(nearest)
+        closest = int(np.argmin(differ))
+        known = self._known.pop(closest)
         self._known.insert(0, known)
-        if push is None and differ[nearest] == 0:
+        if push is None and differ[closest] == 0:
             return True
-        on = self.balance.on(self._bodies, present)
-        before = self.balance.on(self._bodies, known.present)
-        # The joints of what has come push as much as they pull, until more is asked of them.
-        size = np.where(on, np.where(before, known.size, self._even), 0.0)
-        free = present & ~self.balance.fixed & ~held
         load = self._load(present, push)
-        made = self._passed(size, on, free, load)
-        if made is None and thorough:
-            made = self._spread(size, on, free, load)
+        made = self._passed(known, present, held, load)
+        if made is None:
+            # Of many, a press is not worth factors of its own.
+            whole = push is None or int(present.sum()) <= 2 * _OPEN
+            made = self._grown(present, held, load, whole)
         if made is not None and push is None:
             self._keep(present, held, made)
         return made is not None
 
     def _passed(
-        self, size: np.ndarray, on: np.ndarray, free: np.ndarray, load: np.ndarray
+        self, known: _Balanced, present: np.ndarray, held: np.ndarray, load: np.ndarray
     ) -> np.ndarray | None:
         """Forces with what blocks lack passed on from each to those nearer to what is held; None
         where one of them cannot do that."""
-        made, lack = size.copy(), self._lack(load, size, free)
-        self._joints.pass_on(free, on, lack, made)
-        return made if self._balanced(made, on, free, load) else None
+        on = self.balance.on(self._bodies, present)
+        free = present & ~self.balance.fixed & ~held
+        size = self._continued(known, on)
+        lack = self._lack(load, size, free)
+        if np.abs(lack[:, [0, 1, 5]]).max(initial=0.0) > _EXACT:
+            return None
+        self._joints.pass_on(free, on & ~self._level, lack, size)
+        return size if self._balanced(size, on, free, load) else None
 
-    def _spread(
-        self, size: np.ndarray, on: np.ndarray, free: np.ndarray, load: np.ndarray
+    def _continued(self, known: _Balanced, on: np.ndarray) -> np.ndarray:
+        """Forces of a known state where its joints are still there; joints of what has come push as
+        much as they pull, until more is asked of them."""
+        before = self.balance.on(self._bodies, known.present)
+        return np.where(on, np.where(before, known.size, self._even), 0.0)
+
+    def _grown(
+        self, present: np.ndarray, held: np.ndarray, load: np.ndarray, whole: bool
     ) -> np.ndarray | None:
-        """Forces with what they lack of a balance spread over all joints as if these were elastic,
-        softest where they push most; None where some would have to pull more than they can."""
-        rows, columns = np.flatnonzero(np.repeat(free, 3)), np.flatnonzero(on)
-        matrix, size = self._matrix[rows][:, columns], size.copy()
-        across = matrix.T.tocsr()
-        for _ in range(_SPREAD):
-            lack = self._lack(load, size, free).reshape(-1)[rows]
-            push = size[columns]
-            whole = matrix @ sp.diags(push) @ across + _SOFT * sp.identity(len(rows))
-            more = push * (across @ splu(whole.tocsc(), **_SYMMETRIC).solve(lack))
-            most = float(np.max(-more / push, initial=0.0))
-            if not np.isfinite(most) or most > _LOST:
-                return None
-            size[columns] += min(1.0, _NEAR / max(most, 1e-12)) * more
-            if self._balanced(size, on, free, load):
-                return size
+        """Forces of a base that is a part of a state, with what the rest needs; None where no base
+        is found that bears it.
+
+        Args:
+            whole: whether all of the state may be its base, too.
+        """
+        base = self._base
+        if base is not None and _within(base.state, present, held):
+            made = self._borne(base, present, held, load)
+            if made is not None or not whole:
+                return made
+        part = self._lower_part(present, held)
+        for some in [*([] if part is None else [part]), *([present] if whole else [])]:
+            base = self._elastic(some, held & some)
+            if base is not None:
+                self._base = base
+                made = self._borne(base, present, held, load)
+                if made is not None:
+                    return made
         return None
 
-    def _by_program(
-        self, present: np.ndarray, on: np.ndarray, free: np.ndarray
+    def _borne(
+        self, base: _Base, present: np.ndarray, held: np.ndarray, load: np.ndarray
     ) -> np.ndarray | None:
-        """Forces with the least share of the strength, and what balances the rest of it evenly, so
-        that all contact points keep some; None where all of the strength is not enough."""
-        rows, columns = np.flatnonzero(np.repeat(free, 3)), np.flatnonzero(on)
-        if not len(rows) or not len(columns):
+        """Forces of a base with what a state needs that has all of it; None where some contact
+        points would pull more than they can."""
+        on = self.balance.on(self._bodies, present)
+        free = present & ~self.balance.fixed & ~held
+        size = self._continued(base.state, on)
+        more = free & ~base.state.present
+        if more.any():
+            lack = np.where(more[:, None], self._lack(load, size, free), 0.0)
+            self._joints.pass_on(more, on & ~self._level, lack, size)
+        for _ in range(2):  # Once more for what rounding leaves.
+            lack = self._lack(load, size, free).reshape(-1)[base.rows]
+            size[base.columns] += base.stiff * (base.across @ base.factors.solve(lack))
+        return size if self._balanced(size, on, free, load) else None
+
+    def _lower_part(self, present: np.ndarray, held: np.ndarray) -> np.ndarray | None:
+        """bool[count]: a state without the highest bricks that nothing is on and nothing hangs on
+        alone, as one takes them away; None of a state of few."""
+        free = present & ~self.balance.fixed & ~held
+        if free.sum() <= 2 * _OPEN:
             return None
-        load, even = self._load(present, None), self._even[columns]
-        weights = self._load(np.zeros_like(present), None)
-        # In shares of the even pushes: of pushes themselves the solver loses accuracy.
-        unit = float(np.median(even))
-        pull = sp.csc_matrix((weights - load)[rows].reshape(-1, 1))
-        matrix = sp.hstack([self._matrix[rows][:, columns] @ sp.diags(even), pull]) / unit
-        count = len(columns) + 1
-        found = by_cones(matrix, weights[rows] / unit, np.zeros(count), np.full(count, np.inf))
-        if found is None or found[-1] >= 1:
-            return None
-        size = np.zeros(len(on))
-        size[columns] = even * (np.maximum(found[:-1], 0.0) + 1.0 - found[-1])
-        return self._passed(size, on, free, load)
+        lower, gone, count = present.copy(), 0, len(present)
+        a, b = self._pairs
+        on = present[b] & ((a < 0) | present[a])
+        on_it = np.bincount(a[on & (a >= 0)], minlength=count)
+        under_it = np.bincount(b[on], minlength=count)
+        for brick in self.balance.downwards[free[self.balance.downwards]].tolist():
+            if on_it[brick]:
+                continue
+            below = [m for m in self._below[brick] if lower[m]]
+            if any(on_it[m] == 1 and not under_it[m] and free[m] for m in below):
+                continue
+            lower[brick] = False
+            on_it[below] -= 1
+            gone += 1
+            if gone == _OPEN * 3 // 4:
+                break
+        return None if self._loose(lower, held).any() else lower
+
+    def _loose(self, present: np.ndarray, held: np.ndarray) -> np.ndarray:
+        """bool[count]: bricks that hang on nothing that stands."""
+        count = len(present)
+        a, b = self._bodies
+        on = self.balance.on(self._bodies, present) & ~self._level
+        still = np.flatnonzero(present & (self.balance.fixed | held))
+        first = np.concatenate([np.where(a[on] < 0, count, a[on]), np.full(len(still), count)])
+        pair = first, np.concatenate([b[on], still])
+        graph = sp.coo_matrix((np.ones(len(first)), pair), (count + 1, count + 1))
+        piece = connected_components(graph, directed=False)[1]
+        return present & (piece[:-1] != piece[-1])
+
+    def _elastic(
+        self, present: np.ndarray, held: np.ndarray, thorough: bool = False
+    ) -> _Base | None:
+        """A state whose joints are elastic: pushes alone where these do, else with level forces,
+        from those of the state before, else from even pushes.
+
+        Args:
+            thorough: whether a program is asked where spreading finds none.
+        """
+        on = self.balance.on(self._bodies, present)
+        free = present & ~self.balance.fixed & ~held
+        bricks = 6 * np.flatnonzero(free)[:, None]
+        even = _Balanced(present.copy(), held.copy(), np.where(on, self._even, 0.0))
+        if len(bricks) < self._pushed:
+            rows = (bricks + _PARTS).reshape(-1)
+            found = self._spread(even, rows, np.flatnonzero(on & ~self._level))
+            if found is not None:
+                return found
+            self._pushed = int(_FEWER * len(bricks))
+        rows, columns = (bricks + np.arange(6)).reshape(-1), np.flatnonzero(on)
+        for known in self._known[:1]:
+            start = even._replace(size=self._continued(known, on))
+            found = self._spread(start, rows, columns)
+            if found is not None:
+                return found
+        return self._spread(even, rows, columns, thorough)
+
+    def _spread(
+        self, state: _Balanced, rows: np.ndarray, columns: np.ndarray, thorough: bool = False
+    ) -> _Base | None:
+        """What a state lacks spread over some forces, softest where they push most; None where some
+        would have to pull more than they can.
+
+        Args:
+            thorough: whether a program is asked where it asks too much of some.
+        """
+        on = self.balance.on(self._bodies, state.present)
+        free = state.present & ~self.balance.fixed & ~state.held
+        load, size = self._load(state.present, None), state.size.copy()
+        matrix, level = self._matrix[rows][:, columns], self._level[columns]
+        across = matrix.T.tocsr()
+        for turn in range(_SPREAD):
+            push = np.where(level, self._stiff, size[columns])
+            whole = matrix @ sp.diags(push) @ across + _SOFT * sp.identity(len(rows))
+            factors = splu(whole.tocsc(), **_SYMMETRIC)
+            lack = self._lack(load, size, free).reshape(-1)[rows]
+            more = push * (across @ factors.solve(lack))
+            most = float(np.max(np.where(level, 0.0, -more / push), initial=0.0))
+            if not np.isfinite(most) or (most > _LOST and not thorough):
+                return None
+            if turn == 0 and most > _NEAR and thorough:
+                # Too much for some: with the least energy of all forces that leave some of it.
+                lower = np.where(level, -np.inf, (_SPARE - 1) * self._even[columns])
+                found = nearest(matrix, lack, lower, push)
+                if found is None:
+                    return None
+                size[columns] += found
+            else:
+                size[columns] += min(1.0, _NEAR / max(most, 1e-12)) * more
+            if self._balanced(size, on, free, load):
+                return _Base(state._replace(size=size), rows, columns, push, across, factors)
+        return None
 
     def _balanced(
         self, size: np.ndarray, on: np.ndarray, free: np.ndarray, load: np.ndarray
@@ -195,23 +330,29 @@ class NearForces:
         return bool(np.abs(self._lack(load, size, free)).max(initial=0.0) <= _EXACT)
 
     def _load(self, present: np.ndarray, push: Push | None) -> np.ndarray:
-        """float64[3 count]: what forces have to balance beside the preload [mean weights]."""
+        """float64[6 count]: what forces have to balance beside the preload [mean weights]."""
         balance = self.balance
         pulling = balance.on(balance.pull_bodies, present).astype(float)
-        return (balance.pushed(push) - balance.pulls @ pulling)[self._rows]
+        return balance.pushed(push) - balance.pulls @ pulling
 
     def _lack(self, load: np.ndarray, size: np.ndarray, free: np.ndarray) -> np.ndarray:
-        """float64[count, 3]: what is not balanced yet of blocks that nothing holds."""
-        lack = (load - self._matrix @ size).reshape(-1, 3)
+        """float64[count, 6]: what is not balanced yet of blocks that nothing holds."""
+        lack = (load - self._matrix @ size).reshape(-1, 6)
         lack[~free] = 0.0
         return lack
+
+
+def _within(known: _Balanced, present: np.ndarray, held: np.ndarray) -> bool:
+    """Whether a state has all that a known one has, and not many bricks more."""
+    missing = (known.present & ~present).any() or (known.held & ~held).any()
+    return not missing and int((present & ~known.present).sum()) <= _OPEN
 
 
 class _JointSums:
     """Pushes by block, to pass on from block to block what is not balanced.
 
     Args:
-        matrix: [3 count, n], weight and couples of unit pushes on blocks.
+        matrix: [6 count, n], wrenches of unit forces on blocks.
         bodies: int64[n] each, the lower block of a push, or GROUND, and the upper one.
     """
 
@@ -220,12 +361,13 @@ class _JointSums:
     ) -> None:
         a, b = bodies
         n = len(b)
-        on_a, on_b = np.zeros((n, 3)), np.zeros((n, 3))
+        whole = np.zeros((2, n, 6))
         entries = matrix.tocoo()
-        block, part = np.divmod(entries.row, 3)
-        for body, side in ((a, on_a), (b, on_b)):
+        block, part = np.divmod(entries.row, 6)
+        for body, side in zip((a, b), whole, strict=True):
             mine = body[entries.col] == block
             side[entries.col[mine], part[mine]] = entries.data[mine]
+        on_a, on_b = np.ascontiguousarray(whole[..., _PARTS])
         self._sides = a, b, on_a, on_b
         real = np.flatnonzero(a >= 0)
         of = np.concatenate([a[real], b])
@@ -236,7 +378,8 @@ class _JointSums:
         """Pass on what blocks lack to those nearer to what is held, and change ``size`` by it."""
         a, b, _, _ = self._sides
         order, rank = _ranked(self._start, self._pushes, a, b, on, free)
-        _pass_on(order, rank, self._start, self._pushes, self._sides, on, lack, size)
+        part = np.ascontiguousarray(lack[:, _PARTS])
+        _pass_on(order, rank, self._start, self._pushes, self._sides, on, part, size)
 
 
 @njit(cache=True)

@@ -43,6 +43,15 @@ def new_solver(blocks: int) -> Any:
     return solver
 
 
+def _settings() -> Any:
+    """Of the solver of cones."""
+    settings = _conic.DefaultSettings()
+    settings.verbose = False
+    settings.max_threads = 1
+    settings.direct_solve_method = "qdldl"
+    return settings
+
+
 def by_cones(
     balance: Any, load: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> np.ndarray | None:
@@ -61,15 +70,36 @@ def by_cones(
         cones.append(_conic.NonnegativeConeT(len(some)))
     cost = np.zeros(count)
     cost[-1] = 1.0
-    settings = _conic.DefaultSettings()
-    settings.verbose = False
-    settings.max_threads = 1
-    settings.direct_solve_method = "qdldl"
     energy = sp.csc_matrix((count, count))
     matrix = sp.csc_matrix(sp.vstack(signs))
     answer = _conic.DefaultSolver(
-        energy, cost, matrix, np.concatenate(bound), cones, settings
+        energy, cost, matrix, np.concatenate(bound), cones, _settings()
     ).solve()
     if answer.status != _conic.SolverStatus.Solved:
         return None
     return np.array(answer.x)
+
+
+def nearest(
+    balance: Any, load: np.ndarray, lower: np.ndarray, stiff: np.ndarray
+) -> np.ndarray | None:
+    """The columns float64[n] above their bounds that balance a load with the least elastic energy;
+    None where none do, or it is stuck.
+
+    Args:
+        balance: [rows, n].
+        stiff: float64[n], of the columns.
+    """
+    unit = float(np.median(stiff))
+    some = np.flatnonzero(np.isfinite(lower))
+    keep = sp.csr_matrix(sp.diags(-np.ones(len(lower))))[some]
+    matrix = sp.csc_matrix(sp.vstack([balance, keep]))
+    bound = np.concatenate([load, -lower[some]]) / unit
+    cones = [_conic.ZeroConeT(len(load)), _conic.NonnegativeConeT(len(some))]
+    energy = sp.csc_matrix(sp.diags(unit / stiff))
+    answer = _conic.DefaultSolver(
+        energy, np.zeros(len(lower)), matrix, bound, cones, _settings()
+    ).solve()
+    if answer.status != _conic.SolverStatus.Solved:
+        return None
+    return unit * np.array(answer.x)

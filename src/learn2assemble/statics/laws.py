@@ -245,9 +245,7 @@ class ByStrength:
         key = state.key, push
         if key not in self._known:
             # What is close by knows hands that bear any load alone.
-            if not state.hands and self._near.stands(
-                state.present, state.held, push, thorough or push is None
-            ):
+            if not state.hands and self._near.stands(state.present, state.held, push):
                 self._known[key] = True
             elif not thorough:
                 return False

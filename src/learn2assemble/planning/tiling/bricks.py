@@ -27,7 +27,7 @@ from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.brick_plan import plan_bricks
 from learn2assemble.planning.plan import CellCount, Plan
 from learn2assemble.planning.sequence import Supports
-from learn2assemble.statics.holding_check import stands_by_joints
+from learn2assemble.statics.holding_check import JointAnswer, stands_by_joints
 
 _LINK, _LOOSE, _CHANCES = 3.0, 100.0, (0.5, 4.0)
 """What a brick linked above or below is worth, in cells; what it costs to link none; how much
@@ -72,12 +72,12 @@ def plan_brick_cells(
     tiler.fill()
     tiler.join(clock)
     progress(f"{len(tiler.bricks)} bricks in {tiler.pieces()} pieces")
-    assembly = _standing(tiler, design, kit, clock)
+    assembly, found = _standing(tiler, design, kit, clock)
     planned = time.perf_counter() - started
-    plan = plan_bricks(assembly, help_, clock, progress)
+    plan = plan_bricks(assembly, help_, clock, progress, found)
     if (not plan.complete and plan.status != "refused") or "hang on" in (plan.reason or ""):
         hands = Supports(holds=max(help_.holds, 1), hands=True)
-        more = plan_bricks(assembly, hands, clock, progress)
+        more = plan_bricks(assembly, hands, clock, progress, found)
         plan = more if more.complete else plan
     x, y, z = design.wanted.shape
     cell = tuple(round(float(edge), 9) for edge in design.cell)
@@ -107,8 +107,11 @@ def plan_brick_cells(
     )
 
 
-def _standing(tiler: _Tiler, design: CellDesign, kit: Kit, clock: Clock) -> Assembly:
-    """The bricks as an assembly, covered anew where they move first as long as they fall."""
+def _standing(
+    tiler: _Tiler, design: CellDesign, kit: Kit, clock: Clock
+) -> tuple[Assembly, JointAnswer]:
+    """The bricks as an assembly, covered anew where they move first as long as they fall; and
+    whether it stands."""
     best = tiler.assembly(design, kit)
     found = stands_by_joints(best)
     share = found.need.share
@@ -127,7 +130,7 @@ def _standing(tiler: _Tiler, design: CellDesign, kit: Kit, clock: Clock) -> Asse
             best, found, share = made, new, new.need.share
         else:
             tiler.bricks, tiler.owner = kept
-    return best
+    return best, found
 
 
 class Slab(NamedTuple):
