@@ -527,3 +527,17 @@ def test_solids_overlap_where_they_share_room() -> None:
     mine = solids(piece.shape, piece.pose)
     assert overlaps(mine, solids(piece.shape, near), 1e-4)
     assert not overlaps(mine, solids(piece.shape, far), 1e-4)
+
+
+def test_a_run_takes_posts_that_the_arm_cannot_set_as_set_by_hand(arch: Plan) -> None:
+    """It ended before anything moved: "hand touches v1"."""
+    assert any(step.by_hand for step in arch.steps)
+    said: list[str] = []
+
+    def pause(_: int, words: str) -> bool:
+        said.append(words)
+        return False
+
+    ran = l2a.run(arch, confirm=pause)
+    assert said
+    assert not ran.plan.complete

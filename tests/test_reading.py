@@ -317,3 +317,17 @@ def test_sections_of_a_box() -> None:
     assert np.ptp(lines.reshape(-1, 3), axis=0).tolist() == pytest.approx([2, 4, 0])
     assert np.linalg.norm(lines[:, 0] - lines[:, 1], axis=1).sum() == pytest.approx(12)
     assert len(section(np.asarray(box), 2, 9.0)) == 0
+
+
+def test_objects_of_a_mesh_are_blocks_where_that_is_asked_for() -> None:
+    """As `check` reads them; options of cells, and a file without a unit, are refused."""
+    path = DESIGNS.parent / "structures" / "arch.obj"
+    read = read_design(path, blocks=True, unit="mm")
+    assert isinstance(read, l2a.Assembly)
+    assert {block.id for block in read.blocks} == {f"v{k}" for k in range(9)}
+    top = max(float(block.vertices[:, 2].max()) for block in read.blocks)
+    assert abs(top - 0.34 * np.cos(np.pi / 18)) < 0.01  # outer radius 0.34 m
+    with pytest.raises(InputError, match="mm, cm, m or in"):
+        read_design(path, blocks=True)
+    with pytest.raises(InputError, match="unit and up alone"):
+        read_design(path, blocks=True, unit="mm", cells_wide=5)

@@ -219,9 +219,11 @@ def reading_arguments(parser: Any) -> None:
     add("--depth", type=length, default=None, help="of the wall of a drawing")
     add("--cells-wide", type=count, default=None, help="of a drawing, picture or mesh")
     add("--repair", action="store_true", default=None, help="close small holes of a mesh")
+    words = "every object of a mesh is a block where it stands, not part of a shape"
+    add("--blocks", action="store_true", default=None, help=words)
 
 
-_READING = ("unit", "cell", "size", "up", "depth", "cells_wide", "repair")
+_READING = ("unit", "cell", "size", "up", "depth", "cells_wide", "repair", "blocks")
 """Options that say how to read the design, as arguments of the package."""
 
 

@@ -254,6 +254,8 @@ def _calibrate(options: argparse.Namespace, output: Output) -> int:
 )
 def _check(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where it stands, if only with tight joints, else 1."""
+    import numpy as np
+
     from learn2assemble.assembly.files import read_assembly
     from learn2assemble.statics.rigid_blocks import check
 
@@ -261,7 +263,9 @@ def _check(options: argparse.Namespace, output: Output) -> int:
         assembly = read_assembly(options.file, unit=options.unit, kit=options.kit)
         if options.capacity is not None:
             assembly = assembly.with_capacity(options.capacity)
-        output.phase(f"proving whether {len(assembly.blocks)} blocks stand")
+        edges = np.ptp(np.concatenate([block.vertices for block in assembly.blocks]), axis=0)
+        size = " x ".join(f"{edge:.3g}" for edge in edges) + " m"
+        output.phase(f"proving whether {len(assembly.blocks)} blocks stand ({size})")
         found = check(assembly, friction=options.friction)
         held = found.margin_n is not None
         rows = [
@@ -271,6 +275,7 @@ def _check(options: argparse.Namespace, output: Output) -> int:
             ("holding force", f"{found.holding_force:.4g} N"),
             ("moves first", ", ".join(found.moving[:8]) or "-"),
             ("blocks", found.blocks),
+            ("size", size),
             ("contacts", len(found.contacts.a)),
             ("seconds", f"{found.seconds:.2f}"),
         ]

@@ -34,6 +34,7 @@ from learn2assemble.design.reading import (
 from learn2assemble.design.solids import Solid, Voxels
 from learn2assemble.design.svg.walk import read_svg
 from learn2assemble.errors import InputError
+from learn2assemble.files import UNITS
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.kit import Kit
@@ -114,6 +115,25 @@ def _blocks(file: DesignFile, kit: Kit | None, reading: Mapping[str, Any]) -> As
         joints = kit or joints
     document = file.document
     return parse_assembly(file.content, file.source, file.name, document=document, kit=joints)
+
+
+def _objects(file: DesignFile, kit: Kit | None, reading: Mapping[str, Any]) -> object:
+    """The objects of a mesh as blocks where that is asked for, else the cells it fills."""
+    if not reading.get("blocks"):
+        return _cells(_mesh)(file, kit, reading)
+    from learn2assemble.assembly.files import parse_assembly
+    from learn2assemble.assembly.meshes import KINDS
+
+    given = Reading.of(reading)
+    given.check(file.kind)
+    _refuse(set(reading) - {"blocks", "unit", "up"}, "unit and up alone with blocks")
+    if file.kind not in KINDS:
+        raise InputError("blocks", file.source, f"a mesh of {', '.join(KINDS)}")
+    if given.unit is None and file.kind != "glb":
+        raise InputError("unit", None, "mm, cm, m or in: the file does not say it")
+    unit = UNITS[given.unit or "m"]
+    up = None if given.up is None else ("y" if given.up == "y" else "z")
+    return parse_assembly(file.content, file.source, file.name, unit=unit, up=up)
 
 
 def _cells(
@@ -220,6 +240,6 @@ READERS: dict[str, Callable[[DesignFile, Kit | None, Mapping[str, Any]], object]
     **dict.fromkeys(("svg", "dxf"), _cells(_drawing)),
     **dict.fromkeys(LOSSY, _cells(_picture)),
     **dict.fromkeys(("npy", "npz"), _cells(_voxels)),
-    **dict.fromkeys(("stl", "obj", "ply", "off", "glb", "3dm"), _cells(_mesh)),
+    **dict.fromkeys(("stl", "obj", "ply", "off", "glb", "3dm"), _objects),
 }
 """What reads each kind of file that :func:`~learn2assemble.design.files.kind_of` tells."""

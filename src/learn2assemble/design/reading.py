@@ -26,7 +26,7 @@ _USUAL_WIDE = 32
 Lengths = tuple[float, float, float]
 
 _DRAWING = frozenset({"unit", "size", "cells_wide", "cell", "depth", "kit"})
-_MESH = frozenset({"unit", "size", "cells_wide", "up", "cell", "kit", "repair"})
+_MESH = frozenset({"unit", "size", "cells_wide", "up", "cell", "kit", "repair", "blocks"})
 _CELLS = frozenset({"size", "up", "cell", "kit"})
 _READ = {
     "json": _DRAWING - {"unit", "size", "cells_wide"},
@@ -60,6 +60,8 @@ class Reading:
     """Name or file of a kit; before what the file says."""
     repair: bool | None = None
     """Whether small holes of a mesh are closed."""
+    blocks: bool | None = None
+    """Whether every object of a mesh is a block, where it shall stand, instead of a shape."""
     colours: np.ndarray | None = None
     """Of the cells of an array, ``uint8[X, Y, Z, 3]``."""
 
@@ -94,8 +96,10 @@ class Reading:
         wide = self.cells_wide
         if wide is not None and (type(wide) is not int or not 1 <= wide <= MAX_CELLS):
             raise InputError("cells_wide", wide, f"a whole number from 1 to {MAX_CELLS}")
-        if self.repair is not None and not isinstance(self.repair, bool):
-            raise InputError("repair", self.repair, "True or False")
+        for name in ("repair", "blocks"):
+            value = getattr(self, name)
+            if value is not None and not isinstance(value, bool):
+                raise InputError(name, value, "True or False")
         if self.size is not None and wide is not None and kind not in LOSSY:
             raise InputError("size", self.size, "either size or cells_wide")
 

@@ -140,7 +140,7 @@ def build(
             filled with those alone, with others of their kinds, or with any of the kit, whichever
             takes the fewest moves.
         reading: how to read a file or an array: ``unit``, ``cell``, ``size``, ``up``, ``depth``,
-            ``cells_wide``, ``repair``, ``colours``, see
+            ``cells_wide``, ``repair``, ``blocks``, ``colours``, see
             :class:`learn2assemble.design.reading.Reading`.
 
     Returns:

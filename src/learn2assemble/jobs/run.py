@@ -187,7 +187,8 @@ def run(
     if site.base is None:
         site = replace(site, base=plan.arm.base)
     file = None if state is None else Path(state)
-    workcell = Workcell(plan.arm.name, plan.arm.tool, site=site, log=file)
+    by_hand = any(step.by_hand for step in plan.steps)
+    workcell = Workcell(plan.arm.name, plan.arm.tool, site=site, log=file, hands=by_hand)
     progress("planning the order of the arm")
     found = prepare(plan, workcell, 1e-4, progress)
     job = found.job
