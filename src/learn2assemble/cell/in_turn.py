@@ -67,7 +67,7 @@ def build_in_turn(
     """
     started = time.perf_counter()
     if workcell.log is not None:
-        raise InputError("--resume", "steps that hold a block", "a plan without them")
+        raise InputError("log", "steps that hold a block", "a plan without them")
     crew, ways = gather_in_turn(plan, members, workcell, joint), ways_of(plan, members)
     both = InTurn(crew, opened or simulated, plan.steps, ways)
     return built_by(both, plan, progress, started)
