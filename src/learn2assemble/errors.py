@@ -65,7 +65,10 @@ class InputError(Learn2AssembleError, ValueError):
     """
 
     def __init__(self, what: str, got: object, expected: str, *remedies: Remedy) -> None:
-        self.what, self.got, self.expected, self.remedies = what, got, expected, remedies
+        self.what = what
+        self.got = got
+        self.expected = expected
+        self.remedies: tuple[Remedy, ...] = remedies
         super().__init__(self._message(remedy.in_python for remedy in remedies))
 
     def __reduce__(self) -> tuple[type[InputError], tuple[object, ...]]:
@@ -173,7 +176,9 @@ class MissingExtraError(Learn2AssembleError, ImportError):
     """An optional dependency is not installed; the message names the extra that brings it."""
 
     def __init__(self, module: str, extra: str, without: str = "") -> None:
-        self.module, self.extra, self.without = module, extra, without
+        self.module = module
+        self.extra = extra
+        self.without = without
         are, them = ("are", "them") if " and " in module else ("is", "it")
         otherwise = f", or do without: {without}" if without else ""
         super().__init__(

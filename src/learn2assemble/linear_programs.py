@@ -265,7 +265,9 @@ class Clock:
         timer: Callable[[], float] = time.monotonic,
         progress: Progress = silent,
     ) -> None:
-        self.limit, self.timer, self.progress = float(seconds), timer, progress
+        self.limit: float = float(seconds)
+        self.timer = timer
+        self.progress = progress
         self._start = self._told = timer()
         self._compiling = compiling_seconds(timer)
 

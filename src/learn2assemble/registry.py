@@ -59,7 +59,7 @@ class Registry(Mapping[str, T]):
         self._loading = False
         self.listeners: list[Callable[[str], None]] = []
         """Called with every name that is added."""
-        self.elsewhere = ""
+        self.elsewhere: str = ""
         """What a message about an unknown name adds where the distribution of others is missing."""
 
     def register(self, name: str, value: T, *, replace: bool = False) -> None:

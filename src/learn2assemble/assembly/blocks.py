@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypedDict, Unpack
 
 import numpy as np
 
@@ -463,7 +463,21 @@ def _fault_of(
     return None
 
 
-def outward(id: str, vertices: np.ndarray, faces: tuple[tuple[int, ...], ...], **kwargs) -> Block:
+class BlockRest(TypedDict, total=False):
+    """What a :class:`Block` has besides its name and its surface."""
+
+    kind: str
+    density: float
+    support: bool
+    prop: bool
+
+
+def outward(
+    id: str,
+    vertices: np.ndarray,
+    faces: tuple[tuple[int, ...], ...],
+    **kwargs: Unpack[BlockRest],
+) -> Block:
     """A block whose faces may all be turned inside; arguments as :class:`Block`."""
     try:
         return Block(id, vertices, faces, **kwargs)

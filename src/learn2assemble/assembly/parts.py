@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from learn2assemble.assembly.blocks import FLAT, Block
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.crossings import find_crossing
+
+if TYPE_CHECKING:
+    import manifold3d
 
 MAX_PARTS = 200
 """Convex parts of one block."""
@@ -89,7 +93,7 @@ def check_simple(block: Block) -> None:
         raise InputError(f"block {block.id!r}", "shells that overlap", "parts that only touch")
 
 
-def to_manifold(block: Block):
+def to_manifold(block: Block) -> manifold3d.Manifold:
     """The block as solid of the library ``manifold3d``, in the world frame.
 
     Raises:

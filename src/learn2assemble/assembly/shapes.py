@@ -107,7 +107,8 @@ class Shapes:
     """The shapes of an assembly, and how each block is turned from its shape."""
 
     def __init__(self, origin: np.ndarray, joint: float) -> None:
-        self.origin, self.joint = origin, joint
+        self.origin = origin
+        self.joint = joint
         self.found: list[BlockShape] = []
         self._like: dict[tuple, list[tuple[BlockShape, np.ndarray]]] = {}
         self._of: dict[str, _Match] = {}

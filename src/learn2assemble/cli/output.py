@@ -35,8 +35,12 @@ class Heartbeat:
         limit: it ends after about so long [s]; None: not known.
     """
 
+    started: float
+    told: float
+
     def __init__(self, phase: str, limit: float | None = None) -> None:
-        self.phase, self.limit = phase, limit
+        self.phase: str = phase
+        self.limit = limit
         self.started = self.told = time.monotonic()
         self._shown, self._lock, self._done = False, threading.Lock(), threading.Event()
 
@@ -98,9 +102,11 @@ class Output:
     ) -> None:
         from rich.console import Console  # not needed for help and refusals
 
-        self.as_json, self.verbose, self._detailed = as_json, verbose, time.monotonic()
-        self.heartbeat = heartbeat or Heartbeat("")
-        self.console = Console(stderr=as_json, highlight=False, soft_wrap=True)
+        self.as_json = as_json
+        self.verbose = verbose
+        self._detailed = time.monotonic()
+        self.heartbeat: Heartbeat = heartbeat or Heartbeat("")
+        self.console: Console = Console(stderr=as_json, highlight=False, soft_wrap=True)
         if not self.console.is_terminal and "COLUMNS" not in os.environ:
             # A file or a pipe has no width to fit into.
             self.console.width = 200

@@ -152,12 +152,12 @@ def number(cast: type, low: float, high: float, words: str) -> Callable[[str], A
     return parse
 
 
-count = number(int, 1, 10**9, "a whole number from 1 to 1000000000")
-natural = number(int, 0, 2**31 - 1, f"a whole number from 0 to {2**31 - 1}")
-share = number(float, 0, 1, "a number from 0 to 1")
-positive = number(float, 1e-3, 1e7, "a number from 0.001 to 10000000")
-friction = number(float, 0, 10, "a coefficient of friction from 0 to 10")
-pull = number(float, 0, 1e3, "a force from 0 to 1000 N")
+count: Callable[[str], int] = number(int, 1, 10**9, "a whole number from 1 to 1000000000")
+natural: Callable[[str], int] = number(int, 0, 2**31 - 1, f"a whole number from 0 to {2**31 - 1}")
+share: Callable[[str], float] = number(float, 0, 1, "a number from 0 to 1")
+positive: Callable[[str], float] = number(float, 1e-3, 1e7, "a number from 0.001 to 10000000")
+friction: Callable[[str], float] = number(float, 0, 10, "a coefficient of friction from 0 to 10")
+pull: Callable[[str], float] = number(float, 0, 1e3, "a force from 0 to 1000 N")
 
 
 def named(text: str) -> Path:

@@ -121,7 +121,9 @@ class ControllerClock:
     """
 
     def __init__(self, silence: float) -> None:
-        self.silence, self.last, self._wall = silence, -math.inf, -math.inf
+        self.silence = silence
+        self.last: float = -math.inf
+        self._wall = -math.inf
         self._states, self._began = 0, -math.inf
 
     def odd(self, now: float, wall: float) -> str:

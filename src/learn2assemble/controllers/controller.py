@@ -6,7 +6,7 @@ import contextlib
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -32,8 +32,12 @@ from learn2assemble.motion.plant import (
     ToolCommand,
     ToolReading,
 )
-from learn2assemble.motion.program import driver_of
-from learn2assemble.motion.setup import Setup
+from learn2assemble.motion.program import Driver, driver_of
+from learn2assemble.motion.setup import Setup, Surroundings
+
+if TYPE_CHECKING:
+    from learn2assemble.motion.settings import ProgramSettings
+    from learn2assemble.robot.arm import Arm
 
 CONNECT = 3.0
 """Longest wait for an answer while connecting, and for an arm that is to stop [s]."""
@@ -75,8 +79,11 @@ class Controller(ABC):
     """
 
     def __init__(self, address: Address, setup: Setup) -> None:
-        self.place, self.arm, self.around = address, setup.arm, setup.around
-        self.settings, self.driver = self.around.program, driver_of(setup.arm)
+        self.place = address
+        self.arm: Arm = setup.arm
+        self.around: Surroundings = setup.around
+        self.settings: ProgramSettings = self.around.program
+        self.driver: Driver = driver_of(setup.arm)
         self._clock = ControllerClock(self.around.silence)
         self._base = quaternion_matrix(self.driver.base[3:])
         self._last: ControllerState | None = None

@@ -119,7 +119,7 @@ class UrPlant(Controller):
         with extra("ur-rtde", "ur"):
             import rtde_receive
         # Another connection's programs have other numbers.
-        self.serial = int.from_bytes(os.urandom(2)) * 30_000
+        self.serial: int = int.from_bytes(os.urandom(2)) * 30_000
         self._beat = _Beat(self.place.host)
         self._model()
         try:

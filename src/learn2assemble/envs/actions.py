@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, TypeVar
+
 import numpy as np
 from numba import njit
 
@@ -10,6 +12,9 @@ from learn2assemble.tasks.graph.placements import distinct_placements
 from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.task import Task
 from learn2assemble.tasks.world.state import State
+
+if TYPE_CHECKING:
+    from learn2assemble.tasks.world.blocks import ActionSpec
 
 
 def num_flat_actions(task: Task) -> int:
@@ -30,16 +35,19 @@ def num_placement_actions(task: Task) -> int:
     return task.num_actions * half * (task.max_blocks - half)
 
 
-def flatten_action(task: Task, i, j, k):
+Index = TypeVar("Index", int, np.ndarray)
+"""Numbers of actions or nodes."""
+
+
+def flatten_action(task: Task, i: Index, j: Index, k: Index) -> Index:
     """(i, j, k) to the flat index; integers or arrays of one shape."""
     return (i * task.num_nodes + j) * task.num_actions + k
 
 
-def unflatten_action(task: Task, action):
+def unflatten_action(task: Task, action: Index) -> tuple[Index, Index, Index]:
     """Flat index to (i, j, k); an integer or an array."""
-    pair, k = divmod(action, task.num_actions)
-    i, j = divmod(pair, task.num_nodes)
-    return i, j, k
+    pair = action // task.num_actions
+    return pair // task.num_nodes, pair % task.num_nodes, action % task.num_actions
 
 
 # These two take single fields: handing a whole State to compiled code costs more than the work.
@@ -153,7 +161,8 @@ class FlatActions:
     """
 
     def __init__(self, simulator: Simulator) -> None:
-        self.task, self.size = simulator.task, num_flat_actions(simulator.task)
+        self.task: Task = simulator.task
+        self.size: int = num_flat_actions(simulator.task)
 
     def look(self, graph: Graph) -> None:
         """The states that everything else is asked of have this graph."""
@@ -183,7 +192,8 @@ class PlacementActions:
     """
 
     def __init__(self, simulator: Simulator) -> None:
-        self.spec, self.size = simulator.action_spec, num_placement_actions(simulator.task)
+        self.spec: ActionSpec = simulator.action_spec
+        self.size: int = num_placement_actions(simulator.task)
 
     def look(self, graph: Graph) -> None:
         """See :meth:`FlatActions.look`: placements are found once for every state."""
@@ -216,5 +226,8 @@ class PlacementActions:
         return mask
 
 
-ACTION_SPACES = {"flat": FlatActions, "placements": PlacementActions}
+ACTION_SPACES: dict[str, type[FlatActions] | type[PlacementActions]] = {
+    "flat": FlatActions,
+    "placements": PlacementActions,
+}
 """Meanings of the number of an action, by name."""

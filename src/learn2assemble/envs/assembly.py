@@ -27,6 +27,7 @@ from learn2assemble.tasks.graph.features import NUM_FEATURES, POSITION, Graph
 from learn2assemble.tasks.physics.protocol import Physics, PlacementVerdict
 from learn2assemble.tasks.simulator import Simulator, WorldTransition
 from learn2assemble.tasks.task import Task, get_task
+from learn2assemble.tasks.world.state import State
 
 WAITING_REACH = 1.25
 """No waiting block and no target is farther from the origin than this along an axis [m]."""
@@ -94,10 +95,10 @@ class _Worlds:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise UnknownNameError("render_mode", render_mode, RENDER_MODES)
         self.render_mode = render_mode
-        self.task = get_task(task) if isinstance(task, str) else task
-        self.simulator = Simulator(self.task, physics)
+        self.task: Task = get_task(task) if isinstance(task, str) else task
+        self.simulator: Simulator = Simulator(self.task, physics)
         """For search and planning."""
-        self.state = self.simulator.empty(count)
+        self.state: State = self.simulator.empty(count)
         """All worlds; copy it before you change it."""
         self._actions = ACTION_SPACES[actions](self.simulator)
         self._physics_mask = physics_mask
@@ -229,8 +230,8 @@ class AssemblyEnv(_Worlds, gymnasium.Env[dict[str, Any], np.int64]):
         actions: str = "flat",
     ) -> None:
         super().__init__(task, physics, 1, physics_mask, render_mode, actions)
-        self.observation_space = observation_space(self.task, actions)
-        self.action_space = spaces.Discrete(self._actions.size)
+        self.observation_space: spaces.Dict = observation_space(self.task, actions)
+        self.action_space: spaces.Discrete[np.int64] = spaces.Discrete(self._actions.size)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -318,12 +319,14 @@ class AssemblyVectorEnv(_Worlds, VectorEnv[dict[str, np.ndarray], np.ndarray, np
         names = [mode.value for mode in AutoresetMode]
         if not isinstance(autoreset_mode, AutoresetMode) and autoreset_mode not in names:
             raise UnknownNameError("autoreset_mode", autoreset_mode, names)
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.autoreset_mode: AutoresetMode = AutoresetMode(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
-        self.single_observation_space = observation_space(self.task, actions)
-        self.single_action_space = spaces.Discrete(self._actions.size)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.single_observation_space: spaces.Dict = observation_space(self.task, actions)
+        self.single_action_space: spaces.Discrete[np.int64] = spaces.Discrete(self._actions.size)
+        self.observation_space: spaces.Space[Any] = batch_space(
+            self.single_observation_space, num_envs
+        )
+        self.action_space: spaces.Space[Any] = batch_space(self.single_action_space, num_envs)
         self._seed([seeding.np_random() for _ in range(num_envs)])
 
     def _seed(self, pairs: list[tuple[np.random.Generator, int]]) -> None:

@@ -10,10 +10,11 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
 
 from learn2assemble.errors import InputError
 from learn2assemble.planning.goals.search import Search
-from learn2assemble.planning.goals.world import bears, legal, make_problem, put, relax
+from learn2assemble.planning.goals.world import GoalProblem, bears, legal, make_problem, put, relax
 from learn2assemble.planning.tiling.world import LatticeWorld
 from learn2assemble.tasks import design_features, goal_features
 from learn2assemble.tasks.designs import Solved, make_design
@@ -42,15 +43,15 @@ class _CandidateEnv(gymnasium.Env[dict[str, Any], np.int64]):
     def __init__(self, most: int, features: Any, render_mode: str | None) -> None:
         if render_mode is not None:
             raise InputError("render_mode", render_mode, "none")
-        self.render_mode = None
-        self.observation_space = spaces.Dict(
+        self.render_mode: None = None
+        self.observation_space: spaces.Dict[NDArray[np.float32] | NDArray[np.int8]] = spaces.Dict(
             {
                 "candidates": spaces.Box(-_MOST, _MOST, (most, features.NUM_FEATURES), np.float32),
                 "summary": spaces.Box(-_MOST, _MOST, (features.NUM_SUMMARY,), np.float32),
                 "mask": spaces.MultiBinary(most),
             }
         )
-        self.action_space = spaces.Discrete(most)
+        self.action_space: spaces.Discrete[np.int64] = spaces.Discrete(most)
         self.world: LatticeWorld | None = None
         """What has been built; copy it before you change it."""
         self._most = most
@@ -150,7 +151,7 @@ class DesignEnv(_CandidateEnv):
     """
 
     def __init__(self, task: DesignTask | str, render_mode: str | None = None) -> None:
-        self.task = DESIGN_TASKS[task] if isinstance(task, str) else task
+        self.task: DesignTask = DESIGN_TASKS[task] if isinstance(task, str) else task
         super().__init__(self.task.max_candidates, design_features, render_mode)
         self.solved: Solved | None = None
         """The design with the solution that was found for it."""
@@ -202,8 +203,8 @@ class GoalsEnv(_CandidateEnv):
     """
 
     def __init__(self, task: GoalTask | str, render_mode: str | None = None) -> None:
-        self.task = GOAL_TASKS[task] if isinstance(task, str) else task
-        self.problem = make_problem(fixed_goals(self.task.goals))
+        self.task: GoalTask = GOAL_TASKS[task] if isinstance(task, str) else task
+        self.problem: GoalProblem = make_problem(fixed_goals(self.task.goals))
         self._look = Search(self.problem)
         super().__init__(self.task.max_candidates, goal_features, render_mode)
 
@@ -217,7 +218,8 @@ class GoalsEnv(_CandidateEnv):
         grown, reward = put(world, candidate), 0.0
         if grown is None:
             return False, reward
-        before, self.world = self._relaxed.blocks, grown
+        before = self._relaxed.blocks
+        self.world: LatticeWorld = grown
         self._relaxed = relax(self.problem, grown, self._relaxed.price)
         if np.isfinite(self._relaxed.blocks):
             reward = (before - self._relaxed.blocks) / self._start

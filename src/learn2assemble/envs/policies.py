@@ -44,7 +44,7 @@ class RandomChoice:
     """A uniform legal action always."""
 
     def __init__(self) -> None:
-        self.rng = np.random.default_rng(0)
+        self.rng: np.random.Generator = np.random.default_rng(0)
 
     def __call__(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> int:
         return int(self.rng.choice(np.flatnonzero(info["action_masks"])))
@@ -64,7 +64,8 @@ class OnStates:
     env: AssemblyEnv
 
     def __init__(self, choose: Callable[[Simulator, State], np.ndarray], knows: str) -> None:
-        self.choose, self.knows = choose, knows
+        self.choose = choose
+        self.knows = knows
 
     def begin(self, env: gymnasium.Env[Any, Any]) -> None:
         """A new problem."""
@@ -134,7 +135,7 @@ class ExactPlanner(OnDesigns):
         if ordering is not None and ordering.status == "complete":
             steps = [made.placements[step.block] for step in ordering.steps]
             planned = [site.candidate(one) for one in steps]
-        self.planned = planned[::-1]
+        self.planned: list[int] = planned[::-1]
 
     def __call__(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> int:
         while self.planned:
@@ -153,7 +154,9 @@ class Lookahead:
     def begin(self, env: gymnasium.Env[Any, Any]) -> None:
         """A new problem."""
         on_states = OnStates(lookahead_actions, "model")
-        self.choose = DesignLookahead() if isinstance(env, DesignEnv) else on_states
+        self.choose: DesignLookahead | OnStates = (
+            DesignLookahead() if isinstance(env, DesignEnv) else on_states
+        )
         self.choose.begin(env)
 
     def __call__(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> int:
@@ -225,7 +228,8 @@ class RemoteChoice:
     knows = "observation"
 
     def __init__(self, address: str) -> None:
-        self.address, self.task = address, ""
+        self.address = address
+        self.task: str = ""
         host, _, port = address.rpartition(":")
         host = host.strip("[]")
         try:

@@ -189,7 +189,7 @@ def _writer(make: Callable[[Assembly], str | bytes], what: str) -> Callable[[Ass
     return lambda assembly, path: write_file(path, make(assembly), what)
 
 
-write_mjcf = _writer(mjcf, "MJCF file")
+write_mjcf: Callable[[Assembly, Path], None] = _writer(mjcf, "MJCF file")
 FORMATS: Registry[tuple[str, Callable[[Assembly, Path], None]]] = Registry(
     "format",
     {

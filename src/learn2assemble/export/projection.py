@@ -65,7 +65,7 @@ class DrawnScene:
         self.told = told
         assembly = told.assembly
         sizes = [np.ptp(b.vertices, axis=0).min() for b in assembly.blocks]
-        self.usual = float(np.median(sizes))
+        self.usual: float = float(np.median(sizes))
         """Size of a usual block [m], by which drawings choose grid and lines."""
         stud, known = assembly.joint.pitch[0], dict[bytes, int]()
         self.figures: list[Figure] = []
@@ -89,15 +89,15 @@ class DrawnScene:
             parts += [(index, _ConvexPart(p.vertices + low, p.faces), n) for p, n in shapes[key]]
         order = _far_first([part for _, part, _ in parts])
         corner = project(np.array([b.vertices.min(0) - told.origin for b in assembly.blocks]))
-        self.drawn = [
+        self.drawn: list[Drawn] = [
             Drawn(parts[k][0], self.figures[parts[k][2]], parts[k][2], corner[parts[k][0]])
             for k in order
         ]
         self._parts: dict[int, list[int]] = {}
         for number, one in enumerate(self.drawn):
             self._parts.setdefault(one.block, []).append(number)
-        self.low = np.array([b.vertices.min(0) for b in assembly.blocks]) - told.origin
-        self.high = np.array([b.vertices.max(0) for b in assembly.blocks]) - told.origin
+        self.low: np.ndarray = np.array([b.vertices.min(0) for b in assembly.blocks]) - told.origin
+        self.high: np.ndarray = np.array([b.vertices.max(0) for b in assembly.blocks]) - told.origin
 
     def parts_of(self, blocks: set[int]) -> list[Drawn]:
         """What is drawn of these blocks, from the back to the front."""

@@ -50,7 +50,7 @@ def quaternion_matrix(quaternion: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True)
-def quaternion_matrices(quaternion):
+def quaternion_matrices(quaternion: np.ndarray) -> np.ndarray:
     """Compiled :func:`quaternion_matrix`: float64[n, 3, 3] of float64[n, 4]."""
     out = np.empty((len(quaternion), 3, 3))
     for b in range(len(quaternion)):
@@ -132,7 +132,7 @@ def cube_yaw(rotation: np.ndarray) -> float:
 
 
 @njit(cache=True)
-def rotation_vector(a, b, out):
+def rotation_vector(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
     """Fill out[3] with the vector [rad, fixed axes] that rotates matrix ``a`` into ``b``."""
     # R = b a^T
     xx = yy = zz = xy = yx = xz = zx = yz = zy = 0.0

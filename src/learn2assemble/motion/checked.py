@@ -55,8 +55,11 @@ class Checked(WrappedPlant):
         oldest: float = math.inf,
     ) -> None:
         super().__init__(plant)
-        self.arm, self.count, self.names = arm, joints, names
-        self.oldest, self.clock = oldest, -math.inf
+        self.arm = arm
+        self.count = joints
+        self.names = names
+        self.oldest = oldest
+        self.clock: float = -math.inf
 
     def sense(self) -> Readings:
         """See :class:`Plant`; readings that came too late are left out."""

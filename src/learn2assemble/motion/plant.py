@@ -327,7 +327,8 @@ class PlantError(Learn2AssembleError):
 
     def __init__(self, stop: Stop, why: str) -> None:
         super().__init__(f"plant {stop}: {why}")
-        self.stop, self.why = stop, why
+        self.stop = stop
+        self.why = why
 
     def __reduce__(self) -> tuple[type[PlantError], tuple[Stop, str]]:
         return PlantError, (self.stop, self.why)

@@ -85,6 +85,10 @@ class BuildRecorder:
         simulated_by: what the outcomes come from, in words.
     """
 
+    half: np.ndarray | None
+    density: np.ndarray | None
+    hull: tuple[Hull | None, ...] | None
+
     def __init__(
         self,
         arm: Arm,
@@ -95,8 +99,9 @@ class BuildRecorder:
         simulated_by: str,
         shapes: CellShapes = _CUBES,
     ) -> None:
-        self.arm, self.poses = arm, np.array(poses, float)
-        self.objects = tuple(tuple(cells) for cells in objects)
+        self.arm = arm
+        self.poses: np.ndarray = np.array(poses, float)
+        self.objects: tuple[tuple[int, ...], ...] = tuple(tuple(cells) for cells in objects)
         self.simulated_by = simulated_by
         self.half, self.density, self.hull = shapes
         self.steps: list[StepRecord] = []

@@ -66,7 +66,8 @@ class RemotePlant:
     """
 
     def __init__(self, connection: Connection, patience: float = 600.0) -> None:
-        self.connection, self.patience = connection, patience
+        self.connection = connection
+        self.patience = patience
 
     def _ask(self, name: str, *given: Any) -> Any:
         self.connection.send((name, given))

@@ -26,7 +26,7 @@ from learn2assemble.motion.plant import (
     WrappedPlant,
 )
 from learn2assemble.robot.arm import Arm, arm_spec
-from learn2assemble.robot.kinematics import forward_many, get_chain
+from learn2assemble.robot.kinematics import Chain, forward_many, get_chain
 from learn2assemble.values import check_keys, mapping, number, sequence
 
 SECTION = "safety"
@@ -121,7 +121,9 @@ class SafetyRules:
     """
 
     def __init__(self, arm: Arm, safety: Safety) -> None:
-        self.arm, self.safety, self.chain = arm, safety, get_chain(arm)
+        self.arm = arm
+        self.safety = safety
+        self.chain: Chain = get_chain(arm)
         ways = np.linalg.norm(self.chain.offset, axis=1)
         after = np.cumsum(ways[::-1])[::-1] - ways
         self._tool_reach = after + float(np.linalg.norm(self.chain.tool_offset))
@@ -266,7 +268,9 @@ class Guarded(WrappedPlant):
         if not 0 < speed <= 1:
             raise InputError("speed", speed, "a share, above 0 and at most 1")
         super().__init__(plant)
-        self.rules, self.safety, self.speed = SafetyRules(arm, safety), safety, speed
+        self.rules: SafetyRules = SafetyRules(arm, safety)
+        self.safety = safety
+        self.speed = speed
 
     def execute(
         self,

@@ -27,7 +27,7 @@ from learn2assemble.motion.plant import (
 )
 from learn2assemble.motion.setup import Setup
 from learn2assemble.robot.bodies import body_of
-from learn2assemble.robot.kinematics import forward, get_chain
+from learn2assemble.robot.kinematics import Chain, forward, get_chain
 
 PLACE, TURN = 3e-4, 3e-3
 """Standard deviations of where a block is taken to be [m], [rad]."""
@@ -45,9 +45,12 @@ class Trusted(WrappedPlant):
 
     def __init__(self, plant: Plant, setup: Setup) -> None:
         super().__init__(plant)
-        self.setup, self.chain = setup, get_chain(setup.arm)
-        self.poses = {name: pose.copy() for name, pose in setup.waiting.items()}
-        self.kinds = {name: name for name in setup.waiting}
+        self.setup = setup
+        self.chain: Chain = get_chain(setup.arm)
+        self.poses: dict[str, np.ndarray] = {
+            name: pose.copy() for name, pose in setup.waiting.items()
+        }
+        self.kinds: dict[str, str] = {name: name for name in setup.waiting}
         self.joined: dict[str, str] = {}
         """Blocks that clutch the one they follow."""
         self.held: dict[str, tuple[np.ndarray, np.ndarray]] = {}

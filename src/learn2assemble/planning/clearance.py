@@ -58,9 +58,10 @@ class Clearance:
     """
 
     def __init__(self, blocks: Sequence[Block], depth: float) -> None:
-        self.blocks, self.depth = blocks, depth
-        self.lower = np.array([block.vertices.min(0) for block in blocks])
-        self.upper = np.array([block.vertices.max(0) for block in blocks])
+        self.blocks = blocks
+        self.depth = depth
+        self.lower: np.ndarray = np.array([block.vertices.min(0) for block in blocks])
+        self.upper: np.ndarray = np.array([block.vertices.max(0) for block in blocks])
         self._known: dict[int, Parts] = {}
 
     def leaves(self, block: int, present: np.ndarray, ways: np.ndarray) -> bool:
@@ -143,8 +144,9 @@ class FreeWays:
     def __init__(
         self, blocks: Sequence[Block], contacts: Contacts, depth: float, level: int
     ) -> None:
-        self.contacts, self.level = contacts, level
-        self.props = [block.prop for block in blocks]
+        self.contacts = contacts
+        self.level = level
+        self.props: list[bool] = [block.prop for block in blocks]
         self._clearance = Clearance(blocks, depth)
         self._known: dict[tuple[int, bytes], bool] = {}
 

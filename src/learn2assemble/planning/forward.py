@@ -16,6 +16,7 @@ from itertools import combinations, islice
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from learn2assemble.planning.crew import ANYHOW, Anybody, Bringing, Crew
 from learn2assemble.planning.posts import Post
@@ -79,14 +80,17 @@ class Forward:
     """
 
     def __init__(self, site: BuildingSite, posts: Sequence[Post] = ()) -> None:
-        self.site, self.laws, self.posts, self.holds = site, site.laws, posts, 0
+        self.site = site
+        self.laws: Sequence[Law] = site.laws
+        self.posts = posts
+        self.holds: int = 0
         total = len(site.fixed)
-        self.count = total - len(posts)
-        self.tries = _TRIES + total
-        self.wanted = ~site.fixed & ~site.prop
-        self.start = State(site.fixed.copy(), np.zeros(total, bool))
-        self.first = Transition((), self.start)
-        self.end = State(self.wanted | site.fixed, np.zeros(total, bool))
+        self.count: int = total - len(posts)
+        self.tries: int = _TRIES + total
+        self.wanted: NDArray[np.bool_] = ~site.fixed & ~site.prop
+        self.start: State = State(site.fixed.copy(), np.zeros(total, bool))
+        self.first: Transition = Transition((), self.start)
+        self.end: State = State(self.wanted | site.fixed, np.zeros(total, bool))
         if site.mortar:
             self.end = self.end.change(wait=[-1])
         self.allowed: set[int] = set()

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -37,6 +37,9 @@ from learn2assemble.statics.holding_check import JointAnswer, stands_by_joints, 
 from learn2assemble.statics.laws import ByForces, ByLoads, ByMortar, ByStrength, Law
 from learn2assemble.statics.rigid_blocks import SIDE
 from learn2assemble.statics.states import State
+
+if TYPE_CHECKING:
+    from learn2assemble.statics.holding import Need
 
 _SMALL = 10
 """Blocks up to which the fewest posts are looked for."""
@@ -340,9 +343,11 @@ class BrickOrder:
     """
 
     def __init__(self, assembly: Assembly, answer: JointAnswer | None = None) -> None:
-        self.blocks, self.assembly = assembly.blocks, replace(assembly, steps=())
+        self.blocks: tuple[Block, ...] = assembly.blocks
+        self.assembly: Assembly = replace(assembly, steps=())
         found = stands_by_joints(self.assembly) if answer is None else answer
-        self.need, self.law = found.need, ByStrength(self.assembly, found)
+        self.need: Need = found.need
+        self.law: ByStrength = ByStrength(self.assembly, found)
 
     def find(
         self, supports: Supports, clock: Clock, progress: Progress = lambda text: None

@@ -82,12 +82,14 @@ class PostSite:
     """What is in the way of posts, and what they can stand on."""
 
     def __init__(self, blocks: Sequence[Block], contacts: Contacts, ground: float | None) -> None:
-        self.blocks, self.contacts, self.ground = blocks, contacts, ground
-        self.lower = np.array([block.vertices.min(0) for block in blocks])
-        self.upper = np.array([block.vertices.max(0) for block in blocks])
-        self.faces = [_faces(block) for block in blocks]
+        self.blocks = blocks
+        self.contacts = contacts
+        self.ground = ground
+        self.lower: np.ndarray = np.array([block.vertices.min(0) for block in blocks])
+        self.upper: np.ndarray = np.array([block.vertices.max(0) for block in blocks])
+        self.faces: list[list[Face]] = [_faces(block) for block in blocks]
         self._parts: dict[int, Parts] = {}
-        self.foot = contacts.points[contacts.start[:-1]]
+        self.foot: np.ndarray = contacts.points[contacts.start[:-1]]
 
     def over(self, outline: Polygon) -> list[int]:
         """Blocks whose boxes are above, below or in a part of the ground."""

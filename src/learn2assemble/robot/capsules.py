@@ -146,7 +146,7 @@ def in_hand(arm: Arm, block: Capsules) -> Capsules:
 
 
 @njit(cache=True)
-def placed(chain, capsules, joints):
+def placed(chain: Chain, capsules: Capsules, joints: np.ndarray) -> np.ndarray:
     """The lines float64[m, c, 2, 3] [m, world] of capsules at joints float64[m, n] [rad]."""
     m, n = joints.shape
     count = capsules.link.shape[0]
@@ -168,7 +168,7 @@ def placed(chain, capsules, joints):
 
 
 @njit(cache=True)
-def between_lines(a, b):
+def between_lines(a: np.ndarray, b: np.ndarray) -> float:
     """Distance of two lines with ends float64[2, 3] [m]."""
     ux, uy, uz = a[1, 0] - a[0, 0], a[1, 1] - a[0, 1], a[1, 2] - a[0, 2]
     vx, vy, vz = b[1, 0] - b[0, 0], b[1, 1] - b[0, 1], b[1, 2] - b[0, 2]
@@ -190,7 +190,9 @@ def between_lines(a, b):
 
 
 @njit(cache=True)
-def apart(lines, radius, others, other_radius):
+def apart(
+    lines: np.ndarray, radius: np.ndarray, others: np.ndarray, other_radius: np.ndarray
+) -> float:
     """Distance of two sets of capsules [m], lines float64[c, 2, 3] and float64[d, 2, 3]."""
     least = np.inf
     for c in range(lines.shape[0]):

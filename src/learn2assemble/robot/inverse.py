@@ -26,6 +26,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import rotation_vector
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import (
+    Chain,
     factorise,
     fill_gram,
     fill_jacobian,
@@ -52,17 +53,17 @@ PATIENCE = 8
 
 @njit(cache=True)
 def damped_least_squares(
-    chain,
-    lower,
-    upper,
-    posture,
-    target_position,
-    target_rotation,
-    rows,
-    tolerance,
-    max_iterations,
-    q,
-):
+    chain: Chain,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    posture: np.ndarray,
+    target_position: np.ndarray,
+    target_rotation: np.ndarray,
+    rows: int,
+    tolerance: float,
+    max_iterations: int,
+    q: np.ndarray,
+) -> tuple[int, float, int]:
     """Improves q, float64[n] [rad], in place.
 
     Args:
@@ -339,7 +340,9 @@ def _copy(source, target):
 
 
 @njit(cache=True)
-def seed_distances(table, position, rotation, rows):
+def seed_distances(
+    table: Seeds, position: np.ndarray, rotation: np.ndarray, rows: int
+) -> np.ndarray:
     """Distances of the table's tool poses from the target [m], rotations counted as metres."""
     count = table.joints.shape[0]
     out = np.empty(count)

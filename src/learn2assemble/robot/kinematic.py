@@ -72,13 +72,15 @@ class CollisionChecker(ABC):
     """
 
     def __init__(self, arm: Arm, model: mujoco.MjModel) -> None:
-        self.arm, self.model, self.data = arm, model, mujoco.MjData(model)
+        self.arm = arm
+        self.model = model
+        self.data: mujoco.MjData = mujoco.MjData(model)
         self._joints = np.array([model.joint(name).qposadr[0] for name in arm.joints])
         self._fingers = np.array(
             [model.joint(name).qposadr[0] for name in arm.gripper.joints], np.int64
         )
 
-        self.opening = 0.0
+        self.opening: float = 0.0
         """Between the pads [m]."""
 
     @abstractmethod
@@ -118,7 +120,10 @@ class BlockChecker(CollisionChecker):
         self._smaller = {hull: hull.shrunk(SHRINK) for hull in hulls}
         meshes = sorted({*hulls, *self._smaller.values()})
         super().__init__(arm, _compile(arm, num_cells, sized, most, meshes))
-        self.num_cells, self.sized, self.most, m = num_cells, sized, most, self.model
+        self.num_cells = num_cells
+        self.sized = sized
+        self.most = most
+        m = self.model
         self.hulls = hulls
         self._hand = {arm.gripper.hand, *arm.gripper.fingers, "carried"}
         self._carried = np.array([m.body(f"carried {k}").id for k in range(most)])
@@ -299,14 +304,16 @@ class KinematicCell:
     A move is tried as ordered and with the fingers exchanged. One instance serves one thread.
     """
 
+    collisions: BlockChecker
+
     name = "kinematic"
 
     def __init__(self, arm: Arm, num_cells: int = 40) -> None:
         self.arm = arm
-        self.approaches = ApproachCache(arm)
+        self.approaches: ApproachCache = ApproachCache(arm)
         self.collisions = self._cubes = BlockChecker(arm, num_cells)
         self._boxes: BlockChecker | None = None
-        self.apart = 0.0
+        self.apart: float = 0.0
         """How far the hand has to be from everything [m]."""
 
     def attempt(self, scene: Scene, move: Move) -> Attempt:

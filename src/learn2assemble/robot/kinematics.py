@@ -19,7 +19,7 @@ from learn2assemble.robot.arm import Arm, arm_model
 
 
 @njit(cache=True)
-def factorise(matrix, size):
+def factorise(matrix: np.ndarray, size: int) -> bool:
     """Replaces the lower half of a symmetric positive definite matrix by its Cholesky factor.
 
     Returns False, with the factor unfinished, where the matrix is not positive definite.
@@ -39,7 +39,7 @@ def factorise(matrix, size):
 
 
 @njit(cache=True)
-def solve_factorised(factor, size, vector):
+def solve_factorised(factor: np.ndarray, size: int, vector: np.ndarray) -> None:
     """Solves with a Cholesky factor, in place."""
     for i in range(size):
         for k in range(i):
@@ -52,7 +52,9 @@ def solve_factorised(factor, size, vector):
 
 
 @njit(cache=True)
-def fill_gram(jacobian, rows, free, damping, out):
+def fill_gram(
+    jacobian: np.ndarray, rows: int, free: np.ndarray, damping: float, out: np.ndarray
+) -> None:
     """Fills the lower half of J J^T + damping I: J's first ``rows`` rows, its ``free`` columns."""
     for i in range(rows):
         for j in range(i + 1):
@@ -65,7 +67,7 @@ def fill_gram(jacobian, rows, free, damping, out):
 
 
 @njit(cache=True)
-def smallest_singular_value(jacobian, rows):
+def smallest_singular_value(jacobian: np.ndarray, rows: int) -> float:
     """Of the first ``rows`` rows, by inverse iteration on J J^T; 0 where that is singular."""
     gram = np.empty((6, 6))
     fill_gram(jacobian, rows, np.ones(jacobian.shape[1], np.bool_), 0.0, gram)
@@ -183,7 +185,7 @@ def _place(position, rotation, offset, turn, new_position, new_rotation):
 
 
 @njit(cache=True)
-def joint_frames(chain, q, positions, rotations):
+def joint_frames(chain: Chain, q: np.ndarray, positions: np.ndarray, rotations: np.ndarray) -> None:
     """Fills the joint frames, float64[n, 3] [m, world] and float64[n, 3, 3], of joints q [rad]."""
     for i in range(3):
         positions[0, i] = 0.0
@@ -195,7 +197,14 @@ def joint_frames(chain, q, positions, rotations):
 
 
 @njit(cache=True)
-def tool_and_frames(chain, q, positions, rotations, position, rotation):
+def tool_and_frames(
+    chain: Chain,
+    q: np.ndarray,
+    positions: np.ndarray,
+    rotations: np.ndarray,
+    position: np.ndarray,
+    rotation: np.ndarray,
+) -> None:
     """As :func:`joint_frames`, and fills the tool's float64[3] and float64[3, 3] (world)."""
     joint_frames(chain, q, positions, rotations)
     last = q.shape[0] - 1
@@ -203,7 +212,7 @@ def tool_and_frames(chain, q, positions, rotations, position, rotation):
 
 
 @njit(cache=True)
-def forward(chain, q):
+def forward(chain: Chain, q: np.ndarray) -> Pose:
     """The tool in the world at joints q, float64[n] [rad]: position float64[3] [m], rotation
     float64[3, 3] (T_world_tool)."""
     n = q.shape[0]
@@ -213,7 +222,7 @@ def forward(chain, q):
 
 
 @njit(cache=True)
-def forward_many(chain, q):
+def forward_many(chain: Chain, q: np.ndarray) -> Pose:
     """:func:`forward` of float64[m, n]: float64[m, 3] and float64[m, 3, 3]."""
     m, n = q.shape
     position, rotation = np.empty((m, 3)), np.empty((m, 3, 3))
@@ -224,7 +233,9 @@ def forward_many(chain, q):
 
 
 @njit(cache=True)
-def fill_jacobian(positions, rotations, position, out):
+def fill_jacobian(
+    positions: np.ndarray, rotations: np.ndarray, position: np.ndarray, out: np.ndarray
+) -> None:
     """The geometric Jacobian, float64[6, n], from joint frames and tool position."""
     for k in range(positions.shape[0]):
         ax, ay, az = rotations[k, 0, 2], rotations[k, 1, 2], rotations[k, 2, 2]
@@ -237,7 +248,7 @@ def fill_jacobian(positions, rotations, position, out):
 
 
 @njit(cache=True)
-def jacobian(chain, q):
+def jacobian(chain: Chain, q: np.ndarray) -> np.ndarray:
     """float64[6, n]: velocity of the tool point [m/s] and angular velocity [rad/s], both in
     world axes, per joint velocity [rad/s]."""
     n = q.shape[0]

@@ -30,7 +30,7 @@ from learn2assemble.motion.plant import (
 )
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.bodies import Shape, body_of
-from learn2assemble.robot.kinematics import forward, get_chain
+from learn2assemble.robot.kinematics import Chain, forward, get_chain
 from learn2assemble.sensing.camera import DepthCamera, DepthPicture, rotation
 from learn2assemble.sensing.pictures import ArmPicture, without_arm
 from learn2assemble.sensing.registration import Believed, Look, Seen, register
@@ -78,9 +78,13 @@ class SeeingPlant(WrappedPlant):
         fixed: Sequence[tuple[Shape, np.ndarray]] = (),
     ) -> None:
         super().__init__(plant)
-        self.cameras, self.pictures = tuple(cameras), pictures
-        self.arm, self.chain, self.sorts, self.fixed = arm, get_chain(arm), sorts, tuple(fixed)
-        self.kind = {name: name for name in waiting}
+        self.cameras: tuple[DepthCamera, ...] = tuple(cameras)
+        self.pictures = pictures
+        self.arm = arm
+        self.chain: Chain = get_chain(arm)
+        self.sorts = sorts
+        self.fixed: tuple[tuple[Shape, np.ndarray], ...] = tuple(fixed)
+        self.kind: dict[str, str] = {name: name for name in waiting}
         """Names in the plan of the blocks that there are."""
         self.expected: dict[str, np.ndarray | None] = {n: p.copy() for n, p in waiting.items()}
         """float64[7]: where each should be; None: that is not known."""
@@ -88,10 +92,11 @@ class SeeingPlant(WrappedPlant):
         """The block in the hand, its position and rotation in the tool frame."""
         self.joined: dict[str, str] = {}
         """Blocks that follow another one while that is in the hand."""
-        self.period = max((1 / camera.rate for camera in self.cameras), default=0.0)
+        self.period: float = max((1 / camera.rate for camera in self.cameras), default=0.0)
         self.last: tuple[float, tuple[BlockReading, ...]] | None = None
-        self.looks = 0
-        self.handled, self.moment = False, -1.0
+        self.looks: int = 0
+        self.handled: bool = False
+        self.moment: float = -1.0
         """Whether the tool has just taken hold or let go; and when it did last [s]."""
 
     # ------------------------------------------------------------ as a plant

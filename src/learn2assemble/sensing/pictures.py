@@ -197,11 +197,13 @@ class SimulatedCamera:
         from scipy.ndimage import zoom
 
         given = np.array(error, float)
-        self.camera = camera.moved(given[:3], rotation(given[3:]))
-        self.rng = np.random.default_rng(seed)
+        self.camera: DepthCamera = camera.moved(given[:3], rotation(given[3:]))
+        self.rng: np.random.Generator = np.random.default_rng(seed)
         columns, rows = camera.resolution
         grid = self.rng.standard_normal(WAVES)
-        self.waves = np.asarray(zoom(grid, (rows / WAVES[0], columns / WAVES[1]), order=1))
+        self.waves: np.ndarray = np.asarray(
+            zoom(grid, (rows / WAVES[0], columns / WAVES[1]), order=1)
+        )
 
     def look(self, scenes: Sequence[Scenery], time: float = 0.0) -> DepthPicture:
         """What it sees of simulated scenes that are one, see :func:`true_depth` and
@@ -240,10 +242,14 @@ class ArmPicture:
     """
 
     def __init__(self, arm: Arm) -> None:
-        self.model = arm_model(arm)
-        self.data = mujoco.MjData(self.model)
-        self.joint = np.array([self.model.joint(name).qposadr[0] for name in arm.joints])
-        self.fingers = [int(self.model.joint(name).qposadr[0]) for name in arm.gripper.joints]
+        self.model: mujoco.MjModel = arm_model(arm)
+        self.data: mujoco.MjData = mujoco.MjData(self.model)
+        self.joint: np.ndarray = np.array(
+            [self.model.joint(name).qposadr[0] for name in arm.joints]
+        )
+        self.fingers: list[int] = [
+            int(self.model.joint(name).qposadr[0]) for name in arm.gripper.joints
+        ]
 
     def at(self, joints: np.ndarray, width: float | None = None) -> Scenery:
         """Its scene where it is.
@@ -290,11 +296,11 @@ class CellCameras:
         seed: int = 0,
     ) -> None:
         given = errors or {}
-        self.cameras = [
+        self.cameras: list[SimulatedCamera] = [
             SimulatedCamera(camera, given.get(camera.name, (0.0,) * 6), seed + k)
             for k, camera in enumerate(cameras)
         ]
-        self.arm = ArmPicture(arm)
+        self.arm: ArmPicture = ArmPicture(arm)
 
     def look(self, solids: Sequence[tuple[Shape, np.ndarray]], arm: Readings) -> list[DepthPicture]:
         """One picture of each.

@@ -97,7 +97,9 @@ COUNTS = 5
 
 
 @njit(cache=True)
-def ray_meets(origin, way, normals, offsets, starts):
+def ray_meets(
+    eye: np.ndarray, way: np.ndarray, normals: np.ndarray, offsets: np.ndarray, starts: np.ndarray
+) -> tuple[float, int, float]:
     """Depth along a ray, the face it meets, and how far from the border of that; face -1: none."""
     best, face, border = np.inf, -1, 0.0
     for part in range(len(starts) - 1):
@@ -105,7 +107,7 @@ def ray_meets(origin, way, normals, offsets, starts):
         for f in range(starts[part], starts[part + 1]):
             towards = normals[f, 0] * way[0] + normals[f, 1] * way[1] + normals[f, 2] * way[2]
             room = offsets[f] - (
-                normals[f, 0] * origin[0] + normals[f, 1] * origin[1] + normals[f, 2] * origin[2]
+                normals[f, 0] * eye[0] + normals[f, 1] * eye[1] + normals[f, 2] * eye[2]
             )
             if towards < -1e-9:
                 if room / towards > enter:
@@ -121,7 +123,7 @@ def ray_meets(origin, way, normals, offsets, starts):
                 if f != first:
                     room = offsets[f]
                     for k in range(3):
-                        room -= normals[f, k] * (origin[k] + enter * way[k])
+                        room -= normals[f, k] * (eye[k] + enter * way[k])
                     border = min(border, room)
     return best, face, border
 

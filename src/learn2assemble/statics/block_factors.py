@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 from numba import njit
+from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 
@@ -38,7 +39,7 @@ class BlockMatrix:
         blocks = len(self._later)
         # The diagonal, the blocks left of it, and those right of it, these turned: what one body
         # does to all later ones, and they to it, is then a matrix of six columns each.
-        self.data = np.zeros((count + 2 * blocks, 6, 6))
+        self.data: NDArray[np.float64] = np.zeros((count + 2 * blocks, 6, 6))
         self._code = np.repeat(np.arange(count), np.diff(self._start)) * count + self._later
         widest = int(np.diff(self._start).max(initial=0))
         self._work = np.empty(36 * widest * (widest + 1))

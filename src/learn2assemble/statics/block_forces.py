@@ -26,6 +26,7 @@ from typing import Any, Literal, NamedTuple
 import clarabel
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.contacts import Contacts, across
@@ -33,7 +34,7 @@ from learn2assemble.assembly.hands import Hand
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError, Learn2AssembleError
 from learn2assemble.statics.elastic_joints import Joined
-from learn2assemble.statics.hands import NO_HANDS, hand_columns, held_blocks
+from learn2assemble.statics.hands import NO_HANDS, HeldBlock, hand_columns, held_blocks
 
 _conic: Any = clarabel
 """A compiled module without types."""
@@ -100,21 +101,22 @@ class System:
             rigid = held.copy()
             rigid[list(hands)] = False
             free &= ~rigid
-        self.free = np.flatnonzero(free)
-        self.count, self.corners = len(self.free), len(contacts.points)
+        self.free: NDArray[np.intp] = np.flatnonzero(free)
+        self.count: int = len(self.free)
+        self.corners: int = len(contacts.points)
         number = np.cumsum(free) - 1
         self._length = float(np.median([block.volume for block in blocks])) ** (1 / 3)
         mass = np.array([blocks[k].mass for k in self.free])
         self._newton = GRAVITY * float(mass.mean()) if self.count else 1.0
-        self.mass = mass / mass.mean() if self.count else mass
+        self.mass: np.ndarray = mass / mass.mean() if self.count else mass
         centre = np.array([blocks[k].centroid for k in self.free]).reshape(-1, 3)
         reach = [
             np.linalg.norm(blocks[k].vertices - c, axis=1).max()
             for k, c in zip(self.free, centre, strict=True)
         ]
-        self.radius = np.array(reach) / self._length
+        self.radius: np.ndarray = np.array(reach) / self._length
         self._frame = corner_frames(contacts)
-        self.upright = bool((np.abs(contacts.normal[:, 2]) > 1 - 1e-6).all())
+        self.upright: bool = bool((np.abs(contacts.normal[:, 2]) > 1 - 1e-6).all())
         soft = corner_softness(contacts, self._length)
         self._soft, points = soft, contacts.points
         self._bodies = np.stack(
@@ -123,21 +125,23 @@ class System:
                 for body in (contacts.a, contacts.b)
             ]
         )
-        self.centre = centre / self._length
+        self.centre: np.ndarray = centre / self._length
         reach, frame = self.radius * self._length, self._frame
         # Of what bears any load there is no row, whatever stands in its place here.
         self._wrench = np.zeros((2, self.corners, 3, 6))
         for body, sign, wrench in zip(self._bodies, (-1.0, 1.0), self._wrench, strict=True):
             if self.count:
                 wrench[:] = _wrenches(points - centre[body], sign * frame, reach[body])
-        self.balance = self._balance()
+        self.balance: sp.csc_matrix = self._balance()
         row = np.where(free, number, -1)
         every = np.zeros((len(blocks), 4))
         every[self.free, :3], every[self.free, 3] = centre, reach
-        self.held = held_blocks(hands, row, every[:, :3], self._newton, every[:, 3])
+        self.held: list[HeldBlock] = held_blocks(
+            hands, row, every[:, :3], self._newton, every[:, 3]
+        )
         weight = np.zeros((self.count, 6))
         weight[:, 2] = self.mass
-        self.weight = weight.reshape(-1)
+        self.weight: NDArray[np.float64] = weight.reshape(-1)
 
     def _balance(self) -> sp.csc_matrix:
         """Wrench [6 count] of the corner forces in their frames; column 3 p is a normal force."""

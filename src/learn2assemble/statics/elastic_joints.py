@@ -90,16 +90,19 @@ class Joined:
         weight: np.ndarray,
         held: Sequence[HeldBlock] = (),
     ) -> None:
-        self.body, self.wrench = body, wrench
-        self.stiffness, self.weight = stiffness, weight
-        self.count, self.corners = len(weight), body.shape[1]
+        self.body = body
+        self.wrench = wrench
+        self.stiffness = stiffness
+        self.weight = weight
+        self.count: int = len(weight)
+        self.corners: int = body.shape[1]
         self._matrix = BlockMatrix(self.count, body)
         known = np.maximum(body, 0)
         self._places = self._matrix.places(known[:, None], known[None])
         self._force = np.zeros((2, self.corners, 3))
         self._slope = np.zeros((2, self.corners, 3, 3))
         self._left = np.empty((2, self.count, 6))
-        self.hands = HandSprings(held)
+        self.hands: HandSprings = HandSprings(held)
         self._hand = [self.hands.none, self.hands.none]
         self._hand_slope = [np.zeros((len(held), 6, 6))] * 2
 

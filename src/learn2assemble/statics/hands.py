@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from learn2assemble.assembly.hands import Hand
@@ -92,8 +93,8 @@ class HandSprings:
 
     def __init__(self, held: Sequence[HeldBlock] = ()) -> None:
         self.held = held
-        self.body = np.array([one.body for one in held], np.int64)
-        self.none = np.zeros((len(held), 6))
+        self.body: NDArray[np.int64] = np.array([one.body for one in held], np.int64)
+        self.none: NDArray[np.float64] = np.zeros((len(held), 6))
 
     def respond(self, motion: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Wrenches float64[h, 6] at a motion float64[n, 6], their derivatives float64[h, 6, 6] by

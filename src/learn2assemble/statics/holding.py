@@ -15,6 +15,7 @@ from typing import NamedTuple
 import highspy
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.hands import Hand
@@ -96,23 +97,26 @@ class Balance:
 
     def __init__(self, assembly: Assembly, forces: Forces, sides: bool = False) -> None:
         blocks = assembly.blocks
-        self.count = len(blocks)
-        self.fixed = np.array([block.support for block in blocks])
-        self.weight = GRAVITY * np.array([block.mass for block in blocks])
+        self.count: int = len(blocks)
+        self.fixed: np.ndarray = np.array([block.support for block in blocks])
+        self.weight: NDArray[np.float64] = GRAVITY * np.array([block.mass for block in blocks])
         centre = np.array([block.centroid for block in blocks])
         self._centre, self._blocks = centre, blocks
-        self.unit = float(self.weight.mean())
+        self.unit: float = float(self.weight.mean())
         self._length = float(np.cbrt(np.median([block.volume for block in blocks])))
-        self.kept = np.arange(len(forces.upright)) if sides else np.flatnonzero(forces.upright)
+        self.kept: NDArray[np.int64] = (
+            np.arange(len(forces.upright)) if sides else np.flatnonzero(forces.upright)
+        )
         columns = Columns(*(field[self.kept] for field in forces.columns))
-        self.columns, self.preload = columns, forces.preload
+        self.columns: Columns = columns
+        self.preload: Columns = forces.preload
         self._width = n = len(columns.b)
         matrix = self._matrix(joined([columns, forces.preload]), centre)
         first = matrix.indptr[n]
         matrix.data[first:] = np.asarray(matrix.data[first:], np.float64) / self.unit
         self._both = matrix
-        self.bodies = columns.a, columns.b
-        self.pull_bodies = forces.preload.a, forces.preload.b
+        self.bodies: tuple[np.ndarray, np.ndarray] = columns.a, columns.b
+        self.pull_bodies: tuple[np.ndarray, np.ndarray] = forces.preload.a, forces.preload.b
         rows = 6 * self.count
         self._last = np.bincount(matrix.indices[first:], matrix.data[first:], rows)
         filled = np.flatnonzero(self._last)

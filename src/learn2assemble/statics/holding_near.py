@@ -95,7 +95,8 @@ class NearForces:
     """
 
     def __init__(self, balance: Balance, forces: Forces) -> None:
-        self.balance, count = balance, balance.count
+        self.balance = balance
+        count = balance.count
         even, level = _even(balance, forces), np.isinf(balance.columns.lower)
         self._which = which = np.flatnonzero((even > 0) | level)
         self._even, self._level = even[which], level[which]

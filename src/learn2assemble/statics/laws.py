@@ -91,7 +91,7 @@ class ByForces:
     def __init__(
         self, assembly: Assembly, contacts: Contacts, proof: str, friction: list[float]
     ) -> None:
-        self.states = States(assembly, contacts, friction)
+        self.states: States = States(assembly, contacts, friction)
         self.proof = proof
         self._pushes = Pushes(self.states, friction[0])
         self._rests: dict[tuple[int, bytes], bool] = {}
@@ -131,8 +131,11 @@ class ByLoads:
     """
 
     def __init__(self, stack: Stack, fixed: np.ndarray, friction: float, clock: Clock) -> None:
-        self.stack, self.fixed, self.clock = stack, fixed, clock
-        self.proof, self._upright = Proof(stack), Proof(stack)
+        self.stack = stack
+        self.fixed = fixed
+        self.clock = clock
+        self.proof: Proof = Proof(stack)
+        self._upright = Proof(stack)
         self._before = self._told = np.zeros(len(fixed), bool)
         self._sideways = Sideways(stack, friction)
         self._rank = -1
@@ -229,7 +232,9 @@ class ByStrength:
     """
 
     def __init__(self, assembly: Assembly, found: JointAnswer) -> None:
-        self.assembly, self.balance, self.sides = assembly, found.balance, found.tight
+        self.assembly = assembly
+        self.balance: Balance = found.balance
+        self.sides: bool = found.tight
         self.proof = CLUTCH_TIGHT if found.tight else CLUTCH
         self._forces, self._narrow = found.forces, found.balance
         self._scope = np.arange(len(assembly.blocks))
@@ -322,7 +327,8 @@ class ByMortar:
     """
 
     def __init__(self, assembly: Assembly, dry: Law) -> None:
-        self.assembly, self.dry = assembly, dry
+        self.assembly = assembly
+        self.dry = dry
         self._young = np.zeros(len(assembly.blocks), bool)
         self._at_once = any(joint.holds and joint.age == 0 for joint in assembly.laws)
         self._cured, self._balance = self._young, balance_of(assembly, cured=self._young)

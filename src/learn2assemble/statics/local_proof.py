@@ -55,7 +55,9 @@ class StackLoad(NamedTuple):
 
 
 @njit(cache=True)
-def settle(load, force, placed, dirty, mends):
+def settle(
+    load: StackLoad, force: np.ndarray, placed: np.ndarray, dirty: np.ndarray, mends: bool
+) -> bool:
     """Balance every block that is ``dirty``, from above; True where all could be.
 
     Args:

@@ -207,11 +207,12 @@ class Joints:
     """
 
     def __init__(self, assembly: Assembly, tolerance: float | None = None) -> None:
-        self.assembly, self.tolerance = assembly, tolerance
-        self.faces = find_contacts(assembly, tolerance)
-        self.support = np.array([block.support for block in assembly.blocks])
+        self.assembly = assembly
+        self.tolerance = tolerance
+        self.faces: Contacts = find_contacts(assembly, tolerance)
+        self.support: np.ndarray = np.array([block.support for block in assembly.blocks])
         touched = self.support[self.faces.a] != self.support[self.faces.b]
-        self.supported = bool((touched | (self.faces.a < 0)).any() or self.support.all())
+        self.supported: bool = bool((touched | (self.faces.a < 0)).any() or self.support.all())
         _check_supported(assembly, self.faces if self.supported else self.every[0])
 
     @cached_property

@@ -31,7 +31,7 @@ class Sideways:
     """
 
     def __init__(self, stack: Stack, most: float) -> None:
-        self.loads = [_SidewaysLoad(stack, way, most) for way in _WAYS]
+        self.loads: list[_SidewaysLoad] = [_SidewaysLoad(stack, way, most) for way in _WAYS]
         self.most = most
         self._radius: float | None = None
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import Contacts
@@ -121,16 +122,18 @@ class States:
     """
 
     def __init__(self, assembly: Assembly, contacts: Contacts, friction: Sequence[float]) -> None:
-        self.assembly, self.contacts, self.friction = assembly, contacts, tuple(friction)
+        self.assembly = assembly
+        self.contacts = contacts
+        self.friction: tuple[float, ...] = tuple(friction)
         blocks = assembly.blocks
         mass = np.array([block.mass for block in blocks])
-        self.mass = mass / mass.mean()
+        self.mass: np.ndarray = mass / mass.mean()
         self._newton = GRAVITY * float(mass.mean())
-        self.centre = np.array([block.centroid for block in blocks])
+        self.centre: np.ndarray = np.array([block.centroid for block in blocks])
         length = float(np.median([block.volume for block in blocks])) ** (1 / 3)
         self._stiffness = 1 / corner_softness(contacts, length)
         self._wrench = np.stack(corner_wrenches(blocks, contacts))
-        self.body = np.stack([contacts.a, contacts.b])[:, contacts.patch]
+        self.body: np.ndarray = np.stack([contacts.a, contacts.b])[:, contacts.patch]
         self._fixed = np.array([block.support for block in blocks])
         self._radius = np.array(
             [
@@ -361,12 +364,14 @@ class Pushes:
     """
 
     def __init__(self, states: States, most: float) -> None:
-        self.states, self.most, self.friction = states, most, states.friction[0]
+        self.states = states
+        self.most = most
+        self.friction: float = states.friction[0]
         angle = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
-        self.ways = np.stack([np.cos(angle), np.sin(angle)], 1)
-        self.level = np.full(_DIRECTIONS, most)
-        self.forces = np.zeros((_DIRECTIONS, states.body.shape[1], 3))
-        self.wrenches = np.zeros((_DIRECTIONS, len(states.mass), 6))
+        self.ways: np.ndarray = np.stack([np.cos(angle), np.sin(angle)], 1)
+        self.level: np.ndarray = np.full(_DIRECTIONS, most)
+        self.forces: NDArray[np.float64] = np.zeros((_DIRECTIONS, states.body.shape[1], 3))
+        self.wrenches: NDArray[np.float64] = np.zeros((_DIRECTIONS, len(states.mass), 6))
         """What bounded hands give."""
         self._hands: Mapping[int, Hand] = NO_HANDS
         self._wait = self._waited = 0

@@ -34,6 +34,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from learn2assemble.assembly.blocks import Block
 from learn2assemble.assembly.contacts import Contacts
@@ -214,9 +215,10 @@ class Proof:
     """
 
     def __init__(self, stack: Stack, acceleration: tuple[float, float] = (0.0, 0.0)) -> None:
-        self.stack, (ax, ay) = stack, acceleration
+        self.stack = stack
+        (ax, ay) = acceleration
         point, centre = stack.point, stack.centre
-        self.load = StackLoad(
+        self.load: StackLoad = StackLoad(
             px=point[:, 0] - ax * point[:, 2],
             py=point[:, 1] - ay * point[:, 2],
             cx=centre[:, 0] - ax * centre[:, 2],
@@ -232,7 +234,7 @@ class Proof:
             turn=stack.turn,
             unit=stack.pitch,
         )
-        self.force = np.zeros(len(stack.point))
+        self.force: NDArray[np.float64] = np.zeros(len(stack.point))
 
     def settle(self, dirty: np.ndarray, placed: np.ndarray, mends: bool = False) -> bool:
         """Balance locally what is ``dirty`` (bool[n]) where ``placed`` stands; False: unchanged.

@@ -54,10 +54,12 @@ class ArmPhysics:
     def __init__(
         self, cell: Cell, grasps: tuple[GraspPair, ...], balance: Physics | None = None
     ) -> None:
-        self.cell, self.grasps, self.balance = cell, grasps, balance
+        self.cell = cell
+        self.grasps = grasps
+        self.balance = balance
         rigid = balance is not None and balance.name == "rigid"
-        self.name = cell.name + ("+rigid" if rigid else "")
-        self.moves_blocks = balance is None or balance.moves_blocks
+        self.name: str = cell.name + ("+rigid" if rigid else "")
+        self.moves_blocks: bool = balance is None or balance.moves_blocks
         self.last_attempts: list[Attempt | None] = []
         """What the arm did in each row of the last call of :meth:`settle`; None where balance
         alone decided."""

@@ -19,8 +19,8 @@ from learn2assemble.tasks.physics.protocol import Physics
 from learn2assemble.tasks.physics.static import survey, survey_objects
 from learn2assemble.tasks.physics.support import STABLE
 from learn2assemble.tasks.task import MAX_VERTICES, Task, get_task
-from learn2assemble.tasks.world.blocks import inventory
-from learn2assemble.tasks.world.coverage import FILTERS
+from learn2assemble.tasks.world.blocks import ActionSpec, inventory
+from learn2assemble.tasks.world.coverage import FILTERS, DepthFilter
 from learn2assemble.tasks.world.layouts import Problems, sample_problem, side_frames, waiting_places
 from learn2assemble.tasks.world.outcomes import Outcomes, outcomes
 from learn2assemble.tasks.world.rules import (
@@ -129,12 +129,14 @@ class Simulator:
         UnknownNameError, InputError: see :func:`resolve_checker`.
     """
 
+    task: Task
+
     def __init__(self, task: str | Task, physics: str | Physics | None = None) -> None:
         self.task = task = get_task(task)
         self.physics: Physics = resolve_checker(physics, task)
-        self.frames = side_frames(task.num_sides, task.pitch, task.aisle)
-        self.depths = FILTERS[task.cover_filter]
-        self.action_spec = task.action_spec
+        self.frames: np.ndarray = side_frames(task.num_sides, task.pitch, task.aisle)
+        self.depths: DepthFilter = FILTERS[task.cover_filter]
+        self.action_spec: ActionSpec = task.action_spec
         self._stock = inventory(task.objects)
         self._waiting = waiting_places(task.layout, task.max_blocks)
         self._problems = Problems(

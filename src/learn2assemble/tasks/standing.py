@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from learn2assemble.constants import EDGE, HALF
 from learn2assemble.geometry.rotations import yaw_quaternion
@@ -43,15 +44,18 @@ class RealCell:
 
     def __init__(self, cell: DynamicCell, state: State) -> None:
         count = int(state.num_blocks[0])
-        self.cell, self.joints = cell, cell.arm.home.copy()
-        self.poses = np.empty((count, 7))
+        self.cell = cell
+        self.joints: np.ndarray = cell.arm.home.copy()
+        self.poses: NDArray[np.float64] = np.empty((count, 7))
         """float64[C, 7]: x, y, z [m], quaternion (w, x, y, z) of every cube by its number."""
         self.poses[state.object_id[0, :count]] = np.hstack(
             [state.position[0, :count], state.quaternion[0, :count]]
         )
         words = "dynamic cell: MuJoCo, friction grasp, all collisions"
         cubes = [[number] for number in range(count)]
-        self.log = BuildRecorder(cell.arm, self.joints, OPENING, self.poses, cubes, words)
+        self.log: BuildRecorder = BuildRecorder(
+            cell.arm, self.joints, OPENING, self.poses, cubes, words
+        )
 
     def attempt(self, scene: Scene, move: Move) -> Attempt:
         """Carry out a move from where the arm is, with the cubes where they are."""

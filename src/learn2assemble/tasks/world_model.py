@@ -62,9 +62,10 @@ class WorldModel:
     ) -> None:
         task, config = simulator.task, network.config
         check_actions(config.num_actions, config.action_mode, task)
-        self.simulator, self.device = simulator, device
-        self.network = fitted(network, task.pitch, task.sight if sight is None else sight)
-        self.discount = simulator.task.discount
+        self.simulator = simulator
+        self.device = device
+        self.network: Network = fitted(network, task.pitch, task.sight if sight is None else sight)
+        self.discount: float = simulator.task.discount
         self._kept: dict[bytes, _Kept] = {}
 
     def take(self, states: State, rows: np.ndarray) -> State:

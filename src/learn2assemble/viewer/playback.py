@@ -21,7 +21,7 @@ from learn2assemble.geometry.rotations import (
     matrix_quaternion,
     quaternion_product,
 )
-from learn2assemble.motion.merged import merged
+from learn2assemble.motion.merged import ArmStep, merged
 from learn2assemble.motion.record import BuildRecord, Samples, StepRecord
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
@@ -94,21 +94,21 @@ class Playback:
 
     def __init__(self, records: Sequence[BuildRecord], plan: Plan) -> None:
         names = [arm.name for arm in plan.arms] or [record.arm.name for record in records]
-        self.arms = tuple(
+        self.arms: tuple[PlayedArm, ...] = tuple(
             _played(record, name) for record, name in zip(records, names, strict=True)
         )
-        self.steps = merged(records)
+        self.steps: list[ArmStep] = merged(records)
         record = max(records, key=lambda one: one.num_cells)
         if len(records) > 1:
             record = replace(record, steps=tuple(one.step for one in self.steps))
         _fits(record, plan)
         self.record = record
         """Of all arms: the cells, and the attempts in the order in which they ended."""
-        self.blocks = block_of_cell(record, plan)
+        self.blocks: list[int | None] = block_of_cell(record, plan)
         cube = np.full((record.num_cells, 3), record.block_edge / 2)
-        self.half = cube if record.half is None else record.half
+        self.half: np.ndarray = cube if record.half is None else record.half
         """float64[C, 3]: half extents of every cell [m]."""
-        self.segments = tuple(self._segments())
+        self.segments: tuple[ReplaySegment, ...] = tuple(self._segments())
 
     @property
     def duration(self) -> float:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from learn2assemble.robot.shape import Mesh, box
 
@@ -100,7 +101,14 @@ def _cover(a, b, c, area, nearest, marks, mark):
 
 
 @njit(cache=True, error_model="numpy")
-def fill(screen, faces, wanted, towards, nearest, seen):
+def fill(
+    screen: np.ndarray,
+    faces: np.ndarray,
+    wanted: np.ndarray,
+    towards: float,
+    nearest: np.ndarray,
+    seen: np.ndarray,
+) -> None:
     """Which triangle each sample sees, and how near it is.
 
     Args:
@@ -151,7 +159,19 @@ which makes them linear in the picture."""
 
 
 @njit(cache=True, error_model="numpy")
-def slopes(screen, world, normals, faces, body, shown, marks, axes, low, scale, out):
+def slopes(
+    screen: np.ndarray,
+    world: np.ndarray,
+    normals: np.ndarray,
+    faces: np.ndarray,
+    body: np.ndarray,
+    shown: np.ndarray,
+    marks: np.ndarray,
+    axes: np.ndarray,
+    low: np.ndarray,
+    scale: float,
+    out: np.ndarray,
+) -> None:
     """The values of each triangle that is turned to the camera, as linear functions.
 
     Args:
@@ -187,7 +207,19 @@ def slopes(screen, world, normals, faces, body, shown, marks, axes, low, scale, 
 
 
 @njit(cache=True, error_model="numpy")
-def shade(seen, slope, body_of, kind, colour, rim_colour, sky, sun, shadow, focal, image):
+def shade(
+    seen: np.ndarray,
+    slope: np.ndarray,
+    body_of: np.ndarray,
+    kind: np.ndarray,
+    colour: np.ndarray,
+    rim_colour: np.ndarray,
+    sky: np.ndarray,
+    sun: np.ndarray,
+    shadow: np.ndarray,
+    focal: float,
+    image: np.ndarray,
+) -> None:
     """Fill ``image``; a pixel whose four samples see one triangle is shaded once."""
     # One long function: calls with arrays cost more here than what they would do.
     for y in range(image.shape[0]):
@@ -379,14 +411,16 @@ class Buffers:
     """Memory of one picture size, used again for every frame."""
 
     def __init__(self, triangles: Triangles, width: int, height: int) -> None:
-        self.depth = np.empty((height * SAMPLES, width * SAMPLES), np.float32)
-        self.seen = np.empty((height * SAMPLES, width * SAMPLES), np.int32)
-        self.shadow = np.empty((SHADOW_SIZE, SHADOW_SIZE), np.float32)
-        self.shading = np.empty((SHADOW_SIZE, SHADOW_SIZE), np.int32)
-        self.casts = ~np.isin(triangles.kind, (PLAIN, GROUND))
-        self.slope = np.zeros((len(triangles.faces), 2 + 3 * VALUES), np.float32)
-        self.owner = triangles.body[triangles.faces[:, 0]]
-        self.image = np.empty((height, width, 3), np.uint8)
+        self.depth: NDArray[np.float32] = np.empty((height * SAMPLES, width * SAMPLES), np.float32)
+        self.seen: NDArray[np.int32] = np.empty((height * SAMPLES, width * SAMPLES), np.int32)
+        self.shadow: NDArray[np.float32] = np.empty((SHADOW_SIZE, SHADOW_SIZE), np.float32)
+        self.shading: NDArray[np.int32] = np.empty((SHADOW_SIZE, SHADOW_SIZE), np.int32)
+        self.casts: NDArray[np.bool_] = ~np.isin(triangles.kind, (PLAIN, GROUND))
+        self.slope: NDArray[np.float32] = np.zeros(
+            (len(triangles.faces), 2 + 3 * VALUES), np.float32
+        )
+        self.owner: np.ndarray = triangles.body[triangles.faces[:, 0]]
+        self.image: NDArray[np.uint8] = np.empty((height, width, 3), np.uint8)
 
 
 class BodyStates(NamedTuple):

@@ -28,7 +28,7 @@ class PageServer(ThreadingHTTPServer):
     def __init__(self, page: Path, port: int) -> None:
         super().__init__((HOST, port), _Handler)
         self.page = page
-        self.address = f"http://{HOST}:{self.server_port}/{quote(page.name)}"
+        self.address: str = f"http://{HOST}:{self.server_port}/{quote(page.name)}"
 
 
 class _Handler(BaseHTTPRequestHandler):

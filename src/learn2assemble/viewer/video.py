@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
 
 import matplotlib
 import numpy as np
@@ -23,13 +24,16 @@ from learn2assemble.geometry.rotations import quaternion_matrix, yaw_matrix
 from learn2assemble.motion.record import BuildRecord
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.moves import Outcome
-from learn2assemble.robot.shape import Mesh, box
+from learn2assemble.robot.shape import LinkPart, Mesh, box
 from learn2assemble.viewer import renderer
-from learn2assemble.viewer.arm import arms_words, extent
+from learn2assemble.viewer.arm import Labels, arms_words, extent
 from learn2assemble.viewer.picture import ACCENT, INK, LINE, PAPER, RIM, SOFT
 from learn2assemble.viewer.playback import Playback, ReplaySegment, split
 from learn2assemble.viewer.scene import cell_labels
 from learn2assemble.viewer.words import clock_words, stage_words
+
+if TYPE_CHECKING:
+    from learn2assemble.viewer.renderer import Buffers, Camera, Light, Triangles
 
 
 @lru_cache(maxsize=16)
@@ -73,36 +77,39 @@ class Frames:
     """
 
     def __init__(self, plan: Plan, records: Sequence[BuildRecord]) -> None:
-        self.plan, self.playback = plan, Playback(records, plan)
+        self.plan = plan
+        self.playback: Playback = Playback(records, plan)
         record = self.playback.record
-        self.speed = max(SPEED, math.ceil(record.spans()[-1][1] / LONGEST))
+        self.speed: float = max(SPEED, math.ceil(record.spans()[-1][1] / LONGEST))
         """How many times faster than the arm the video plays."""
         if plan.assembly is None:
             raise InputError("plan", "no blocks", "assembly.json beside plan.json")
-        self.targets = [np.array(target.outline) for target in plan.design.targets]
-        self.labels = cell_labels(plan.assembly, self.playback.blocks)
-        self.parts = [
+        self.targets: list[np.ndarray] = [
+            np.array(target.outline) for target in plan.design.targets
+        ]
+        self.labels: Labels = cell_labels(plan.assembly, self.playback.blocks)
+        self.parts: list[tuple[int, LinkPart]] = [
             (number, part)
             for number, arm in enumerate(self.playback.arms)
             for part in arm.shape.parts
         ]
         """Of all arms, with the numbers of these."""
-        self.cells = PARTS + len(self.parts)
+        self.cells: int = PARTS + len(self.parts)
         """Body of the first cell; they are the last ones."""
-        self.count = self.cells + record.num_cells
-        self.triangles = self._triangles()
-        self.placed_by = {
+        self.count: int = self.cells + record.num_cells
+        self.triangles: Triangles = self._triangles()
+        self.placed_by: dict[int, int] = {
             cell: step.number
             for step in record.steps
             if step.outcome == Outcome.REACHED
             for cell in step.cells
         }
-        self.buffers = renderer.Buffers(self.triangles, WIDTH, HEIGHT - _FOOT)
+        self.buffers: Buffers = renderer.Buffers(self.triangles, WIDTH, HEIGHT - _FOOT)
         view = self._view()
-        self.camera = self._camera(self._turned(_FROM[view]))
-        self.light = renderer.sunlight(self._turned(_SUN[view]), self._points(), 0.12)
-        self.sheets = self._sheets()
-        self.ribbons = self._ribbons()
+        self.camera: Camera = self._camera(self._turned(_FROM[view]))
+        self.light: Light = renderer.sunlight(self._turned(_SUN[view]), self._points(), 0.12)
+        self.sheets: list[np.ndarray] = self._sheets()
+        self.ribbons: tuple[Image.Image, Image.Image] = self._ribbons()
 
     def frame(self, clock: float) -> np.ndarray:
         """uint8[HEIGHT, WIDTH, 3] at a time of the replay [s]."""

@@ -71,10 +71,14 @@ class StudLattice:
         InputError: for blocks that are no upright boxes on one lattice, or that overlap.
     """
 
+    low: np.ndarray
+    size: np.ndarray
+    offset: np.ndarray
+
     def __init__(self, blocks: Sequence[Block], pitch: tuple[float, float]) -> None:
         self.pitch = pitch
         self.low, self.size, self.offset = _boxes(blocks, pitch)
-        self.high = self.low + self.size
+        self.high: np.ndarray = self.low + self.size
         self._owner, cells = _cells(self.low, self.size)
         low = cells.min(0) - 1
         self._stride = cells.max(0) - low + 3

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from learn2assemble.assembly.blocks import Assembly
@@ -43,12 +44,15 @@ class BrickMates:
         InputError: for joints of several laws, and for blocks that are no bricks on one lattice.
     """
 
+    count: int
+    lattice: StudLattice
+
     def __init__(self, assembly: Assembly) -> None:
         joint, blocks = assembly.joint, assembly.blocks
         if joint.law != "clutch" or assembly.joints:
             raise InputError("joints", "several laws", "one clutch for all bricks")
         self.count = count = len(blocks)
-        self.fixed = np.array([block.support for block in blocks])
+        self.fixed: np.ndarray = np.array([block.support for block in blocks])
         self.lattice = lattice = StudLattice(blocks, joint.pitch)
         self.lower: list[list[int]] = [[] for _ in range(count)]
         """Of each brick those it is pressed on, GROUND among them."""
@@ -65,14 +69,14 @@ class BrickMates:
             if a != GROUND:
                 self.upper[a].append(b)
         self._pairs = np.where(clutches.lower == GROUND, count, clutches.lower), clutches.upper
-        self.based = np.array([GROUND in lower for lower in self.lower])
+        self.based: np.ndarray = np.array([GROUND in lower for lower in self.lower])
         low, high = lattice.low, lattice.high
         meet = (low[:, None, :2] < high[None, :, :2]).all(2)
         meet &= (high[:, None, :2] > low[None, :, :2]).all(2)
         over = meet & (low[None, :, 2] >= high[:, None, 2])
-        self.over = [np.flatnonzero(row) for row in over]
+        self.over: list[NDArray[np.intp]] = [np.flatnonzero(row) for row in over]
         """Of each brick those that are above it, wherever; and those below."""
-        self.under = [np.flatnonzero(row) for row in over.T]
+        self.under: list[NDArray[np.intp]] = [np.flatnonzero(row) for row in over.T]
         self._over = sp.csr_matrix(over.astype(float))
         self._under = self._over.T.tocsr()
         self._centre = np.array([block.centroid[:2] for block in blocks])

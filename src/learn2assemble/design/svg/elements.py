@@ -56,18 +56,23 @@ class Elements:
         source: the file, as messages call it.
     """
 
+    visited: int
+    points: int
+    letters: int
+
     def __init__(self, root: ElementTree.Element, source: str) -> None:
-        self.root, self.source = root, source
+        self.root = root
+        self.source = source
         self.named: dict[str, ElementTree.Element] = {}
         self.parents: dict[ElementTree.Element, ElementTree.Element] = {}
         for element in root.iter():
             self.named.setdefault(element.get("id", ""), element)
             self.parents.update(dict.fromkeys(element, element))
-        self.sheets = Sheets.of(root, source)
-        self.not_read = Counter(self.sheets.not_read)
+        self.sheets: Sheets = Sheets.of(root, source)
+        self.not_read: Counter[str] = Counter(self.sheets.not_read)
         self.visited = self.points = self.letters = 0
         self.open: set[ElementTree.Element] = set()
-        self.boxed = any(local(element) in ("clipPath", "mask") for element in root.iter())
+        self.boxed: bool = any(local(element) in ("clipPath", "mask") for element in root.iter())
         self.read: dict[str, tuple[list[Curve], bool]] = {}
         """Path data that was read."""
         self.turns: dict[str, Matrix | None] = {}

@@ -26,6 +26,7 @@ from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
+from numpy.typing import NDArray
 
 from learn2assemble.linear_programs import INF, Clock, Model, solve
 from learn2assemble.planning.goals.world import (
@@ -100,12 +101,13 @@ class Search:
     def __init__(self, problem: GoalProblem, seed: int = 0) -> None:
         self.problem = problem
         rng = np.random.default_rng(seed)
-        self.rng, self.noise = rng, 0.0
-        self.hash = rng.integers(0, 2**63, len(problem.site), dtype=np.int64)
-        self.expanded = 0
+        self.rng: np.random.Generator = rng
+        self.noise: float = 0.0
+        self.hash: NDArray[np.int64] = rng.integers(0, 2**63, len(problem.site), dtype=np.int64)
+        self.expanded: int = 0
         self.best: LatticeWorld | None = None
-        self.fewest = INF
-        self.heaviest = float(problem.site.weight.max())
+        self.fewest: float = INF
+        self.heaviest: float = float(problem.site.weight.max())
 
     def expand(self, world: LatticeWorld, relaxed: Relaxed, spent: float) -> Node:
         """The node of a structure.

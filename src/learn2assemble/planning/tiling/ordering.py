@@ -117,8 +117,11 @@ class Coupled:
         law: str = TIGHT,
         gap: float = 0.0,
     ) -> None:
-        self.tiling, self.kit, self.friction = tiling, kit, sorted(set(friction))
-        self.law, self.gap = law, gap
+        self.tiling = tiling
+        self.kit = kit
+        self.friction: list[float] = sorted(set(friction))
+        self.law = law
+        self.gap = gap
         self._stiffness = 0.0
         self._known: dict[bytes, float | None] = {}
 
@@ -180,8 +183,8 @@ class CellWays:
     """
 
     def __init__(self, tiling: Tiling, kit: Kit) -> None:
-        self.blocks = tiling.placements
-        self.cells = [placement_cells(block, kit) for block in self.blocks]
+        self.blocks: tuple[BlockPlacement, ...] = tiling.placements
+        self.cells: list[np.ndarray] = [placement_cells(block, kit) for block in self.blocks]
         self._owner = owners(self.blocks, kit, tiling.wanted.shape)
 
     def free(self, block: int, present: np.ndarray) -> bool:

@@ -235,13 +235,17 @@ class Retiling:
     they were.
     """
 
+    found: Candidates
+    cost: np.ndarray
+
     def __init__(self, tiling: Tiling, kit: Kit, tight: bool = False) -> None:
-        self.tiling, self.kit = tiling, kit
+        self.tiling = tiling
+        self.kit = kit
         self.found, self.cost = bonded_candidates(tiling, kit, tight=tight)
         self.cuts: dict[bytes, np.ndarray] = {}
         self.barred: dict[frozenset[BlockPlacement], np.ndarray] = {}
-        self.part = self._parts()
-        self.active = np.zeros(self.part.max() + 1, bool)
+        self.part: np.ndarray = self._parts()
+        self.active: np.ndarray = np.zeros(self.part.max() + 1, bool)
 
     def _parts(self) -> np.ndarray:
         """int64[cells of the lattice]: the part of its layer each cell belongs to."""

@@ -20,6 +20,7 @@ from functools import lru_cache
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from learn2assemble.assembly.kit import Cell, Kit, orientations
 from learn2assemble.planning.tiling.candidates import (
@@ -162,24 +163,24 @@ class LatticeWorld:
     def __init__(self, site: LatticeSite) -> None:
         self.site = site
         size = site.wanted.size
-        self.owner = np.full(size, -1)
+        self.owner: np.ndarray = np.full(size, -1)
         """int64[cells]: number of the block that fills a flat cell, -1 for none."""
-        self.alive = np.ones(len(site), bool)
+        self.alive: np.ndarray = np.ones(len(site), bool)
         """bool[n]: candidates whose cells are open and whose kind the heap has."""
-        self.waits = site.rests.copy()
+        self.waits: np.ndarray = site.rests.copy()
         """int64[n]: cells below a candidate that have to be filled before."""
-        self.cover = np.diff(site.over_start).astype(np.int64)
+        self.cover: NDArray[np.int64] = np.diff(site.over_start).astype(np.int64)
         """int64[cells]: candidates that are alive and would fill a cell."""
-        self.heap = site.limits.copy()
+        self.heap: np.ndarray = site.limits.copy()
         """int64[kinds]: blocks that are left, -1 without limit."""
         self.placed: list[int] = []
         """Candidates in the order they were put down."""
         self.propped: list[int] = []
         """Numbers of those of them that did not stand when they were put down: props hold them, so
         they carry what is put on them, and are not balanced before all is built."""
-        self.open = int(site.wanted.sum())
+        self.open: int = int(site.wanted.sum())
         """Number of wanted cells that are open."""
-        self.proof = _nothing(site.kit)
+        self.proof: Proof = _nothing(site.kit)
         for kind in np.flatnonzero(self.heap == 0):
             self._run_out(int(kind))
 

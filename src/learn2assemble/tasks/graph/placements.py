@@ -27,7 +27,7 @@ def _mix(value):
 
 
 @njit(cache=True, inline="always")
-def cell_key(x, y, z):
+def cell_key(x: int, y: int, z: int) -> np.uint64:
     # In units of a tenth of a block: finer than a lattice, coarser than what settling moves. A
     # gripper may leave blocks beside their places by more, then like placements may look different.
     unit = 10.0 / EDGE
@@ -38,7 +38,15 @@ def cell_key(x, y, z):
 
 
 @njit(cache=True)
-def object_offsets(nodes, object_id, block, first, used, spec, out):
+def object_offsets(
+    nodes: np.ndarray,
+    object_id: np.ndarray,
+    block: int,
+    first: int,
+    used: int,
+    spec: ActionSpec,
+    out: np.ndarray,
+) -> int:
     """Cells of the block's object relative to it in whole cells, itself first; their number."""
     out[0, 0], out[0, 1], out[0, 2] = 0, 0, 0
     count = 1
@@ -52,7 +60,17 @@ def object_offsets(nodes, object_id, block, first, used, spec, out):
 
 
 @njit(cache=True)
-def fill_cells(nodes, reference, relation, way, spec, offsets, count, lift, cells):
+def fill_cells(
+    nodes: np.ndarray,
+    reference: int,
+    relation: int,
+    way: int,
+    spec: ActionSpec,
+    offsets: np.ndarray,
+    count: int,
+    lift: float,
+    cells: np.ndarray,
+) -> np.uint64:
     """Cells filled by a placement; gives its key.
 
     It is the same for the same set of cells and, where a hand holds the object, the same grip on
@@ -74,7 +92,9 @@ def fill_cells(nodes, reference, relation, way, spec, offsets, count, lift, cell
 
 
 @njit(cache=True)
-def enter(table, stamp, stamps, keys, key, number):
+def enter(
+    table: np.ndarray, stamp: int, stamps: np.ndarray, keys: np.ndarray, key: np.uint64, number: int
+) -> int:
     """Number under which ``key`` is known; enters it as ``number`` where it is new.
 
     The tables are a power of two long and never full.
@@ -120,7 +140,9 @@ that cell and beside it [pitches]."""
 
 
 @njit(cache=True)
-def in_the_way(nodes, object_id, block, other, turns, pitch):
+def in_the_way(
+    nodes: np.ndarray, object_id: np.ndarray, block: int, other: int, turns: int, pitch: float
+) -> bool:
     """Whether a waiting cell of another object is where a hand comes down that grasps ``block``.
 
     Beside it along the way the fingers close, that is what the fingers meet or, a level higher,
@@ -136,7 +158,19 @@ def in_the_way(nodes, object_id, block, other, turns, pitch):
 
 
 @njit(cache=True)
-def choose(nodes, object_id, first, used, spec, table, stamps, keys, stamp, offsets, best):
+def choose(
+    nodes: np.ndarray,
+    object_id: np.ndarray,
+    first: int,
+    used: int,
+    spec: ActionSpec,
+    table: np.ndarray,
+    stamps: np.ndarray,
+    keys: np.ndarray,
+    stamp: int,
+    offsets: np.ndarray,
+    best: np.ndarray,
+) -> int:
     """Tell shapes of waiting objects, seen from one of their cells, apart; their number.
 
     Of like ones each way gets the first, or for a hand the first that the fewest are in the way of.

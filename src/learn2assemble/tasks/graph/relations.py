@@ -74,7 +74,7 @@ def _line(a, b, turn, x, z, out):
 
 
 @njit(cache=True)
-def offset_number(right, out, up, pitch):
+def offset_number(right: float, out: float, up: float, pitch: float) -> int:
     """Number of an offset [m] to the right, outward and up, in whole cells up to ``REACH``."""
     i = int(_clip(np.rint(right / pitch), REACH)) + REACH
     j = int(_clip(np.rint(out / pitch), REACH)) + REACH

@@ -63,7 +63,10 @@ class Replay:
     def __init__(
         self, size: int, num_nodes: int, *, worlds: int, outcomes: bool = False, explored: int = 0
     ) -> None:
-        self.size, self.length, self.cursor, self.worlds = size, 0, 0, worlds
+        self.size = size
+        self.length: int = 0
+        self.cursor: int = 0
+        self.worlds = worlds
         columns: dict[str, tuple[Any, ...]] = {
             "action": (np.int64, 3),
             "reward": (np.float32,),

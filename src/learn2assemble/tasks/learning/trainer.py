@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from learn2assemble.errors import InputError, extra
 from learn2assemble.tasks.graph.batch import to_tensors
-from learn2assemble.tasks.graph.features import node_offset
+from learn2assemble.tasks.graph.features import Graph, node_offset
 from learn2assemble.tasks.graph.placements import distinct_placements
-from learn2assemble.tasks.learning.config import METHODS, TrainConfig
+from learn2assemble.tasks.learning.config import METHODS, Learner, TrainConfig
 from learn2assemble.tasks.learning.replay import Batch, Replay, Searched, random_symmetry
 from learn2assemble.tasks.networks.agent import (
     Network,
@@ -198,38 +199,45 @@ class Trainer:
         device: ``cpu`` or ``cuda``.
     """
 
+    samples: int
+    updates: int
+    episodes: int
+
     def __init__(self, task: Task, config: TrainConfig, seed: int, device: str = "cpu") -> None:
         check_actions(config.network.num_actions, config.network.action_mode, task)
-        self.task, self.config, self.seed, self.device = task, config, seed, device
-        self.learner = METHODS[config.method]
-        self.simulator = Simulator(task)
-        self.rng = np.random.default_rng([TRAINING_STREAM, seed])
+        self.task = task
+        self.config = config
+        self.seed = seed
+        self.device = device
+        self.learner: Learner = METHODS[config.method]
+        self.simulator: Simulator = Simulator(task)
+        self.rng: np.random.Generator = np.random.default_rng([TRAINING_STREAM, seed])
         torch.manual_seed(seed)
-        self.online = make_network(config.network).to(device)
-        self.model = WorldModel(self.simulator, self.online, device)
+        self.online: Network = make_network(config.network).to(device)
+        self.model: WorldModel = WorldModel(self.simulator, self.online, device)
         """What the searches of training look ahead with."""
-        self.target = make_network(config.network).to(device)
+        self.target: Network = make_network(config.network).to(device)
         self.target.load_state_dict(self.online.state_dict())
-        self.optimizer = torch.optim.Adam(
+        self.optimizer: torch.optim.Adam = torch.optim.Adam(
             self.online.parameters(), lr=config.learning_rate, fused=True
         )
-        self.replay = Replay(
+        self.replay: Replay = Replay(
             config.replay_size,
             task.num_nodes,
             worlds=config.num_envs,
             outcomes=config.dense_weight > 0,
             explored=config.search_budget if self.learner.search else 0,
         )
-        self.state = self.simulator.new(config.num_envs, self.rng)
-        self.graph = self.simulator.observe(self.state)
+        self.state: State = self.simulator.new(config.num_envs, self.rng)
+        self.graph: Graph = self.simulator.observe(self.state)
         self.samples = self.updates = self.episodes = 0
-        self.seconds = 0.0
-        self.running_return = np.zeros(config.num_envs)
-        self.running_discount = np.ones(config.num_envs)
+        self.seconds: float = 0.0
+        self.running_return: NDArray[np.float64] = np.zeros(config.num_envs)
+        self.running_discount: NDArray[np.float64] = np.ones(config.num_envs)
         self.recent: deque[tuple[float, bool, bool]] = deque(maxlen=EPISODES_AVERAGED)
         """Discounted return, success and failure of the latest training episodes."""
         self.logs: dict[str, float] = {}
-        self.between_rounds = True
+        self.between_rounds: bool = True
         """Whether the state is one to save; an interrupted round leaves half a step behind."""
 
     def start_from(self, network: Network) -> None:

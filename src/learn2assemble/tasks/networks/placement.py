@@ -60,22 +60,30 @@ class PlacementNetwork(nn.Module):
         super().__init__()
         self.config = config
         width = config.width
-        self.edge = nn.Linear(EDGE_FEATURES, width)
-        self.neighbour = nn.EmbeddingBag(OFFSETS + 1, width, mode="sum", padding_idx=OFFSETS)
+        self.edge: nn.Linear = nn.Linear(EDGE_FEATURES, width)
+        self.neighbour: nn.EmbeddingBag = nn.EmbeddingBag(
+            OFFSETS + 1, width, mode="sum", padding_idx=OFFSETS
+        )
         nn.init.normal_(self.neighbour.weight, std=0.1)
         with torch.no_grad():
             self.neighbour.weight[OFFSETS] = 0
-        self.side = _two_layers(3 * width, width)
-        self.summary = nn.Linear(NUM_SUMMARY, width)
-        self.pools = nn.ModuleList(nn.Linear(2 * width, width) for _ in range(config.rounds))
-        self.rounds = nn.ModuleList(_two_layers(2 * width, width) for _ in range(config.rounds))
-        self.member = nn.Linear(width, width)
-        self.lever = nn.Linear(3, width, bias=False)
-        self.context = nn.Linear(width, width, bias=False)
-        self.readout = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 2))
+        self.side: nn.Module = _two_layers(3 * width, width)
+        self.summary: nn.Linear = nn.Linear(NUM_SUMMARY, width)
+        self.pools: nn.ModuleList = nn.ModuleList(
+            nn.Linear(2 * width, width) for _ in range(config.rounds)
+        )
+        self.rounds: nn.ModuleList = nn.ModuleList(
+            _two_layers(2 * width, width) for _ in range(config.rounds)
+        )
+        self.member: nn.Linear = nn.Linear(width, width)
+        self.lever: nn.Linear = nn.Linear(3, width, bias=False)
+        self.context: nn.Linear = nn.Linear(width, width, bias=False)
+        self.readout: nn.Sequential = nn.Sequential(
+            nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 2)
+        )
         grips = get_action_spec(config.action_mode, config.num_actions // len(RELATIONS)).num_grips
-        self.grip = nn.Embedding(grips, width) if grips > 1 else None
-        self.hand = Hand(width, grips) if config.hand else None
+        self.grip: nn.Embedding | None = nn.Embedding(grips, width) if grips > 1 else None
+        self.hand: Hand | None = Hand(width, grips) if config.hand else None
 
     def forward(self, graph: GraphTensors) -> PlacementValues:
         """Q-values of every distinct placement."""
@@ -135,13 +143,15 @@ class Hand(nn.Module):
 
     def __init__(self, width: int, grips: int) -> None:
         super().__init__()
-        self.around = nn.EmbeddingBag(AROUND + 1, width, mode="sum", padding_idx=AROUND)
+        self.around: nn.EmbeddingBag = nn.EmbeddingBag(
+            AROUND + 1, width, mode="sum", padding_idx=AROUND
+        )
         nn.init.normal_(self.around.weight, std=0.1)
         with torch.no_grad():
             self.around.weight[AROUND] = 0
-        self.place = nn.Linear(PLACE_FEATURES, width)
-        self.grip = nn.Embedding(grips, width)
-        self.out = _two_layers(width, width)
+        self.place: nn.Linear = nn.Linear(PLACE_FEATURES, width)
+        self.grip: nn.Embedding = nn.Embedding(grips, width)
+        self.out: nn.Module = _two_layers(width, width)
 
     def forward(self, cells: CellTensors) -> torch.Tensor:
         """float[p, F] of the legal placements."""

@@ -63,9 +63,10 @@ class AttentionRound(nn.Module):
 
     def __init__(self, width: int, heads: int, feed_forward: str) -> None:
         super().__init__()
-        self.heads, self.head_size = heads, width // heads
-        self.query_key_value = nn.Linear(width, 3 * width, bias=False)
-        self.merge = nn.Linear(width, width, bias=False)
+        self.heads = heads
+        self.head_size: int = width // heads
+        self.query_key_value: nn.Linear = nn.Linear(width, 3 * width, bias=False)
+        self.merge: nn.Linear = nn.Linear(width, width, bias=False)
         # Published initialisation: U(+-1/sqrt(s)), s the last dimension of the per-head tensors.
         bound = 1 / math.sqrt(self.head_size)
         nn.init.uniform_(self.query_key_value.weight, -bound, bound)
@@ -116,8 +117,8 @@ class EdgeSummary(nn.Module):
 
     def __init__(self, features: int, width: int) -> None:
         super().__init__()
-        self.pair = nn.Linear(1 + features, width - 1, bias=False)
-        self.merge = nn.Linear(width, width, bias=False)
+        self.pair: nn.Linear = nn.Linear(1 + features, width - 1, bias=False)
+        self.merge: nn.Linear = nn.Linear(width, width, bias=False)
 
     def forward(self, x: torch.Tensor, adjacency: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """What all rounds share: ``A_ij / c_i`` float[B, N, N], and the summaries e_i of the edges
@@ -142,8 +143,8 @@ class Structure2VecRound(nn.Module):
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.message = nn.Linear(2 * width, width, bias=False)
-        self.update = nn.Linear(2 * width, width, bias=False)
+        self.message: nn.Linear = nn.Linear(2 * width, width, bias=False)
+        self.update: nn.Linear = nn.Linear(2 * width, width, bias=False)
 
     def forward(self, h: torch.Tensor, mean: torch.Tensor, edges: torch.Tensor) -> torch.Tensor:
         """``h`` float[B, N, F] to float[B, N, F]; the others from :class:`EdgeSummary`."""
@@ -199,15 +200,15 @@ class QNetwork(nn.Module):
         super().__init__()
         self.config = config
         width = config.width
-        self.embed = nn.Linear(NUM_FEATURES, width, bias=False)
+        self.embed: nn.Linear = nn.Linear(NUM_FEATURES, width, bias=False)
         nn.init.xavier_uniform_(self.embed.weight, gain=math.sqrt(2))
         self.edges: EdgeSummary | None = None
         if config.encoder == "s2v":
             self.edges = EdgeSummary(NUM_FEATURES, width)
-        self.rounds = nn.ModuleList(_round(config) for _ in range(config.rounds))
-        self.pool = nn.Linear(width, width, bias=False)
+        self.rounds: nn.ModuleList = nn.ModuleList(_round(config) for _ in range(config.rounds))
+        self.pool: nn.Linear = nn.Linear(width, width, bias=False)
         # Columns: pooled graph, block to place, reference block.
-        self.readout = nn.Linear(3 * width, config.num_actions)
+        self.readout: nn.Linear = nn.Linear(3 * width, config.num_actions)
         self.scale: torch.Tensor
         scale = torch.ones(NUM_FEATURES)
         scale[POSITION] = 1 / config.position_scale

@@ -215,7 +215,7 @@ class RigidPhysics:
         if rule not in RULES:
             raise UnknownNameError("rule", rule, RULES)
         self.rule = rule
-        self.threshold = RULES[rule] if threshold is None else threshold
+        self.threshold: float = RULES[rule] if threshold is None else threshold
         self.settle_steps = settle_steps
         self.timestep = timestep
         self.pitch = pitch

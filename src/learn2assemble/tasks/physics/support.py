@@ -32,7 +32,9 @@ STABLE, OVERLAP, BELOW_GROUND, FLOATING, UNDECIDED, UNSTABLE = 0, 1, 2, 3, 4, 5
 
 
 @njit(cache=True)
-def classify_cube(position, count, x, y, z, half):
+def classify_cube(
+    position: np.ndarray, count: int, x: float, y: float, z: float, half: float
+) -> int:
     """Verdict on a cube with centre (x, y, z) [m] against ``position[:count]`` (cubes too).
 
     Returns STABLE where the column rule proves it (on the ground, or straight on a cube that is
@@ -74,7 +76,9 @@ and more for tolerances."""
 
 
 @njit(cache=True)
-def find_fillers(position, first, count, half, centre):
+def find_fillers(
+    position: np.ndarray, first: int, count: int, half: float, centre: np.ndarray
+) -> int:
     """Fillers of the object with cells ``position[first:count]``; returns their number.
 
     Where two of its cells are horizontal neighbours with a gap between them, the gap is filled with
@@ -105,7 +109,7 @@ def filler_centres(cells: np.ndarray, half: float) -> np.ndarray:
 
 
 @njit(cache=True)
-def reaches_ground(position, count, cube, half):
+def reaches_ground(position: np.ndarray, count: int, cube: int, half: float) -> bool:
     """Whether straight below ``cube`` one cube of ``position[:count]`` follows on the other."""
     while True:
         x, y, z = position[cube, 0], position[cube, 1], position[cube, 2]
@@ -126,7 +130,7 @@ def reaches_ground(position, count, cube, half):
 
 
 @njit(cache=True)
-def outside_hull(points, count, x, y, tolerance):
+def outside_hull(points: np.ndarray, count: int, x: float, y: float, tolerance: float) -> bool:
     """Whether (x, y) is more than ``tolerance`` beyond an edge of the hull of ``points[:count]``.
 
     True without points; the hull must have an area.
@@ -156,7 +160,7 @@ def outside_hull(points, count, x, y, tolerance):
 
 
 @njit(cache=True)
-def classify_object(position, first, count, half):
+def classify_object(position: np.ndarray, first: int, count: int, half: float) -> int:
     """Verdict on the object with cells ``position[first:count]`` against ``position[:first]``.
 
     Returns STABLE or UNSTABLE where one of the proofs above decides, OVERLAP or BELOW_GROUND for

@@ -13,7 +13,7 @@ from learn2assemble.registry import Registry
 
 TO_THE_END = NO_LIMIT = 10_000
 """Rollout depth and tree depth that no episode reaches."""
-NAMES = {
+NAMES: dict[str, tuple[str, ...]] = {
     "expansion": ("epsilon-greedy", "uct", "gumbel"),
     "rollout_policy": ("greedy", "random"),
     "final": ("best-mean", "most-visits", "gumbel"),

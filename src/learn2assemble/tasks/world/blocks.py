@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numba import njit
@@ -92,8 +92,11 @@ def get_action_spec(
     return ActionSpec(float(pitch), (hands[:, 1] - hands[:, 0]) % 4, grips, hands, gripped)
 
 
+_Number = TypeVar("_Number", int, float)
+
+
 @njit(cache=True, inline="always")
-def quarter_turn(x, y, turns):
+def quarter_turn(x: _Number, y: _Number, turns: int) -> tuple[_Number, _Number]:
     """``(x, y)`` after ``turns`` (0..3) quarter turns to the left, seen from above; exact."""
     if turns == 1:
         return -y, x
@@ -302,7 +305,14 @@ def _choose_shapes(rng, stock, count, chosen):
 
 
 @njit(cache=True)
-def draw_objects(rng, stock, count, position, object_id, pitch=EDGE):
+def draw_objects(
+    rng: np.random.Generator,
+    stock: Inventory,
+    count: int,
+    position: np.ndarray,
+    object_id: np.ndarray,
+    pitch: float = EDGE,
+) -> None:
     """Draw objects with ``count`` cells together, one after the other.
 
     Args:

@@ -44,13 +44,13 @@ HALF_EXTENT = FACE_DEPTH * TAN_HALF_FOV
 
 
 @njit(cache=True, inline="always")
-def project(x, z):
+def project(x: float, z: float) -> tuple[float, float]:
     """Image point ``(u, v)`` [px, v down] of ``(x, z)`` [m] in the face plane."""
     return CENTRE * (1 + x / HALF_EXTENT), CENTRE * (1 - (z - CAMERA_Z) / HALF_EXTENT)
 
 
 @njit(cache=True, inline="always")
-def unproject(u, v):
+def unproject(u: float, v: float) -> tuple[float, float]:
     """Inverse of :func:`project`."""
     return (u / CENTRE - 1) * HALF_EXTENT, (1 - v / CENTRE) * HALF_EXTENT + CAMERA_Z
 
@@ -68,13 +68,13 @@ def _ctpop(typingctx, word):
 
 
 @njit(cache=True, inline="always")
-def popcount(word):
+def popcount(word: np.uint64) -> np.uint64:
     """Number of ones in an unsigned 64-bit word (one machine instruction)."""
     return _ctpop(word)  # pyright: ignore[reportCallIssue]
 
 
 @njit(cache=True, inline="always")
-def span_word(first, last, word):
+def span_word(first: int, last: int, word: int) -> np.uint64:
     """The bits of columns ``first..last`` (inclusive) that fall in word number ``word``."""
     low = max(first - 64 * word, 0)
     high = min(last - 64 * word, 63)
@@ -91,7 +91,7 @@ def to_pixels(image: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True, inline="always")
-def pixel_vertex(x, z):
+def pixel_vertex(x: float, z: float) -> tuple[int, int]:
     """Vertex ``(x, z)`` [m] as an integer image point, rounded towards the image centre."""
     u, v = project(x, z)
     iu = math.floor(u) if u > CENTRE else math.ceil(u)
@@ -116,7 +116,7 @@ def _clip_row(au, av, bu, bv, v, low, high):
 
 
 @njit(cache=True)
-def paper_mask(vertices, count, mask):
+def paper_mask(vertices: np.ndarray, count: int, mask: np.ndarray) -> int:
     """Write the mask of one side into ``mask`` and return its number of pixels.
 
     Args:
@@ -217,14 +217,24 @@ def _add_box(image, x, y, z, half, depth_limit):
 
 
 @njit(cache=True)
-def add_box(covered, occluded, x, y, z, half, depths=NARROW):
+def add_box(
+    covered: np.ndarray,
+    occluded: np.ndarray,
+    x: float,
+    y: float,
+    z: float,
+    half: float,
+    depths: DepthFilter = NARROW,
+) -> None:
     """Add one axis-aligned cube (local centre, half edge [m]) to both pixel sets of a side."""
     _add_box(covered, x, y, z, half - depths.margin, depths.far)
     _add_box(occluded, x, y, z, half - depths.margin, depths.hiding)
 
 
 @njit(cache=True)
-def clear_to_ground(covered, occluded, depths=NARROW):
+def clear_to_ground(
+    covered: np.ndarray, occluded: np.ndarray, depths: DepthFilter = NARROW
+) -> None:
     """Reset both pixel sets to the empty ground or table, of which only a front strip is seen."""
     for row in range(ROWS):
         slope = (CENTRE - (row + 1)) / CENTRE * TAN_HALF_FOV
@@ -236,7 +246,9 @@ def clear_to_ground(covered, occluded, depths=NARROW):
 
 
 @njit(cache=True)
-def count_cover(mask, covered, occluded, first, last):
+def count_cover(
+    mask: np.ndarray, covered: np.ndarray, occluded: np.ndarray, first: int, last: int
+) -> tuple[int, int]:
     """Mask pixels passed by the plane filter and by the complete filter, rows ``first..last-1``."""
     plane = np.uint64(0)
     complete = np.uint64(0)
@@ -245,4 +257,5 @@ def count_cover(mask, covered, occluded, first, last):
             seen = mask[row, w] & covered[row, w]
             complete += popcount(seen)
             plane += popcount(seen & ~occluded[row, w])
-    return np.int64(plane), np.int64(complete)
+    # Numba gives its callers integers of Python.
+    return np.int64(plane), np.int64(complete)  # pyright: ignore[reportReturnType]

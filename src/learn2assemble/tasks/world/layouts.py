@@ -6,16 +6,19 @@ Side ``i`` is the image of side 1 under ``p_world = R_z(angle) p_local + t``.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit
 
 from learn2assemble.constants import EDGE, HALF
 from learn2assemble.errors import InputError, check_name
-from learn2assemble.tasks.world.blocks import draw_objects
+from learn2assemble.tasks.world.blocks import Inventory, draw_objects
 from learn2assemble.tasks.world.coverage import NARROW, DepthFilter, paper_mask
 from learn2assemble.tasks.world.rules import count_row, recover_all
+
+if TYPE_CHECKING:
+    from learn2assemble.tasks.world.state import State
 
 _SIDES = (((1, 0), (0, 0)), ((-1, 0), (0, 2)), ((0, 1), (1, 1)), ((0, -1), (-1, 1)))
 """Cosine and sine of the angle of each side, and where it stands [spacings]."""
@@ -163,7 +166,7 @@ def _cross(ax, az, bx, bz, px, pz):
 
 
 @njit(cache=True)
-def sample_outline(rng, grid, vertices):
+def sample_outline(rng: np.random.Generator, grid: int, vertices: np.ndarray) -> int:
     """Draw an outline of 3, 4 or 5 vertices into ``vertices`` (local x, z [m]); gives the count."""
     a, height = HALF * grid, EDGE * grid
     count = 3 + int(rng.random() * 3)
@@ -191,7 +194,7 @@ def sample_outline(rng, grid, vertices):
 
 
 @njit(cache=True)
-def leaves_training_box(rng, vertices, count):
+def leaves_training_box(rng: np.random.Generator, vertices: np.ndarray, count: int) -> bool:
     """Whether an outline has a vertex outside the 3x3 training box, as unseen shapes do."""
     half, height = TRAINING_BOX
     low = height * rng.random()
@@ -228,7 +231,7 @@ def _step_back(position, first, start, stop, apart):
 
 
 @njit(cache=True)
-def scatter(rng, position, apart):
+def scatter(rng: np.random.Generator, position: np.ndarray, apart: float) -> bool:
     """Draw random places for cubes before and behind the structure.
 
     Args:
@@ -283,7 +286,15 @@ def _spread(position, object_id, waiting, apart, x, y, num_blocks):
 
 
 @njit(cache=True)
-def start_objects(state, row, frames, waiting, side, num_blocks, depths=NARROW):
+def start_objects(
+    state: State,
+    row: int,
+    frames: np.ndarray,
+    waiting: Waiting,
+    side: int,
+    num_blocks: int,
+    depths: DepthFilter = NARROW,
+) -> None:
     """First object at the bottom centre of ``side``, the others waiting; pixel sets and counts.
 
     ``position`` and ``object_id`` hold the objects as :func:`draw_objects` leaves them.
@@ -314,7 +325,15 @@ def start_objects(state, row, frames, waiting, side, num_blocks, depths=NARROW):
 
 
 @njit(cache=True)
-def sample_problem(state, row, rng, frames, stock, waiting, problems):
+def sample_problem(
+    state: State,
+    row: int,
+    rng: np.random.Generator,
+    frames: np.ndarray,
+    stock: Inventory,
+    waiting: Waiting,
+    problems: Problems,
+) -> int:
     """Draw a fresh problem into a row; returns the number of draws, 0 where it gave up.
 
     Shapes and objects are redrawn while the masks hold fewer than ``min_pixels`` pixels or

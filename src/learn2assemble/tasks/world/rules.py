@@ -3,12 +3,23 @@ coverage, reward and end of an episode, each defined here and nowhere else."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numba import njit
 
 from learn2assemble.constants import EDGE, HALF
 from learn2assemble.tasks.world.blocks import DIRECTIONS, quarter_turn
-from learn2assemble.tasks.world.coverage import NARROW, add_box, clear_to_ground, count_cover
+from learn2assemble.tasks.world.coverage import (
+    NARROW,
+    DepthFilter,
+    add_box,
+    clear_to_ground,
+    count_cover,
+)
+
+if TYPE_CHECKING:
+    from learn2assemble.tasks.world.state import State
 
 DISCRETE, SCALED = 0, 1
 REWARDS = {"discrete": DISCRETE, "scaled": SCALED}
@@ -21,7 +32,9 @@ SCALED_GAIN = 3.0
 
 
 @njit(cache=True, inline="always")
-def rotate(quaternion, vector):
+def rotate(
+    quaternion: np.ndarray, vector: np.ndarray | tuple[float, float, float]
+) -> tuple[float, float, float]:
     """Rotate ``vector`` by the unit quaternion (w, x, y, z)."""
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     a, b, c = vector[0], vector[1], vector[2]
@@ -34,7 +47,9 @@ def rotate(quaternion, vector):
 
 
 @njit(cache=True)
-def target_cell(state, row, reference, relation, pitch=EDGE):
+def target_cell(
+    state: State, row: int, reference: int, relation: int, pitch: float = EDGE
+) -> tuple[float, float, float]:
     """Centre [m] of the cell next to placed block ``reference`` in direction ``relation``.
 
     Args:
@@ -48,7 +63,9 @@ def target_cell(state, row, reference, relation, pitch=EDGE):
 
 
 @njit(cache=True, inline="always")
-def object_span(object_id, row, start, stop, block):
+def object_span(
+    object_id: np.ndarray, row: int, start: int, stop: int, block: int
+) -> tuple[int, int]:
     """First and one past the last cell of the object of ``block`` among ``start:stop`` of a row.
 
     Args:
@@ -63,7 +80,7 @@ def object_span(object_id, row, start, stop, block):
 
 
 @njit(cache=True, inline="always")
-def waiting_level(z):
+def waiting_level(z: float) -> float:
     """How far a waiting cell with node height ``z`` stands above those on the table [m].
 
     Some layouts count heights from the table, some from the centres of the cells on it.
@@ -72,7 +89,18 @@ def waiting_level(z):
 
 
 @njit(cache=True)
-def lay_object(state, row, unplaced, reference, x, y, z, turns, cells, pitch=EDGE):
+def lay_object(
+    state: State,
+    row: int,
+    unplaced: int,
+    reference: int,
+    x: float,
+    y: float,
+    z: float,
+    turns: int,
+    cells: np.ndarray,
+    pitch: float = EDGE,
+) -> int:
     """Where the cells of a waiting object would go.
 
     Unplaced block number ``unplaced`` goes to (x, y, z) [m]. The other cells of its object keep
@@ -106,7 +134,9 @@ def lay_object(state, row, unplaced, reference, x, y, z, turns, cells, pitch=EDG
 
 
 @njit(cache=True)
-def move_cell(state, row, source, reference, x, y, z):
+def move_cell(
+    state: State, row: int, source: int, reference: int, x: float, y: float, z: float
+) -> None:
     """Make block number ``source`` the last placed one, at (x, y, z) [m]; those between shift.
 
     It takes the orientation of ``reference``. All there is to placing a cube; of a larger object
@@ -130,7 +160,17 @@ def move_cell(state, row, source, reference, x, y, z):
 
 
 @njit(cache=True)
-def move_block(state, row, unplaced, reference, x, y, z, turns=0, pitch=EDGE):
+def move_block(
+    state: State,
+    row: int,
+    unplaced: int,
+    reference: int,
+    x: float,
+    y: float,
+    z: float,
+    turns: int = 0,
+    pitch: float = EDGE,
+) -> None:
     """Move the object of unplaced block ``unplaced``, that block to (x, y, z).
 
     Its cells become the last placed ones, the chosen one first, see :func:`lay_object`, and take
@@ -148,14 +188,16 @@ def move_block(state, row, unplaced, reference, x, y, z, turns=0, pitch=EDGE):
 
 
 @njit(cache=True, inline="always")
-def last_object(state, row):
+def last_object(state: State, row: int) -> int:
     """First cell of the object placed last; it reaches to ``num_placed``."""
     placed = state.num_placed[row]
     return object_span(state.object_id, row, 0, placed, placed - 1)[0]
 
 
 @njit(cache=True)
-def cover_block(state, row, frames, block, depths=NARROW):
+def cover_block(
+    state: State, row: int, frames: np.ndarray, block: int, depths: DepthFilter = NARROW
+) -> None:
     """Add one placed block to the pixel sets of every side."""
     p = state.position[row, block]
     for side in range(frames.shape[0]):
@@ -166,7 +208,7 @@ def cover_block(state, row, frames, block, depths=NARROW):
 
 
 @njit(cache=True)
-def recover_all(state, row, frames, depths=NARROW):
+def recover_all(state: State, row: int, frames: np.ndarray, depths: DepthFilter = NARROW) -> None:
     """Recompute the pixel sets of a row from every placed block (needed once blocks have moved)."""
     for side in range(frames.shape[0]):
         clear_to_ground(state.covered[row, side], state.occluded[row, side], depths)
@@ -175,7 +217,7 @@ def recover_all(state, row, frames, depths=NARROW):
 
 
 @njit(cache=True)
-def count_row(state, row):
+def count_row(state: State, row: int) -> None:
     """Refresh ``plane_pixels`` and ``complete_pixels`` from the pixel sets."""
     plane, complete = 0, 0
     first, last = state.mask_rows[row, 0], state.mask_rows[row, 1]
@@ -191,8 +233,15 @@ def count_row(state, row):
 
 @njit(cache=True)
 def reward_and_success(
-    mask_pixels, initial_pixels, previous_plane, plane, complete, valid, reward_kind, threshold
-):
+    mask_pixels: int,
+    initial_pixels: int,
+    previous_plane: int,
+    plane: int,
+    complete: int,
+    valid: bool,
+    reward_kind: int,
+    threshold: float,
+) -> tuple[float, bool]:
     """Reward and success of a step from pixel counts: ``(reward, success)``."""
     span = mask_pixels - initial_pixels
     gain = (plane - previous_plane) / span
@@ -207,7 +256,9 @@ def reward_and_success(
 
 
 @njit(cache=True)
-def reward_and_end(state, row, previous_plane, valid, reward_kind, threshold):
+def reward_and_end(
+    state: State, row: int, previous_plane: int, valid: bool, reward_kind: int, threshold: float
+) -> tuple[float, bool, bool]:
     """Reward and end of the step that led to the current row.
 
     ``previous_plane`` is c_pl before the step. Returns ``(reward, terminated, success)``.
@@ -227,7 +278,9 @@ def reward_and_end(state, row, previous_plane, valid, reward_kind, threshold):
 
 
 @njit(cache=True)
-def observe_row(state, row, frames, nodes, object_id):
+def observe_row(
+    state: State, row: int, frames: np.ndarray, nodes: np.ndarray, object_id: np.ndarray
+) -> int:
     """Write the node features of a row: x, y, z [m], placed flag, target flag.
 
     Also writes the object number of every node: -1 - s for vertices of side s. Returns the number
