@@ -70,6 +70,11 @@ LEVEL_TABLE = (0.0, 0.0, 0.0)
 """A table as it should be, see :attr:`Scene.table`."""
 
 
+AT_THE_SIDE, ARM_THERE = 1, 2
+"""Of an obstacle: ways lead past it unless it is between both ends of one; it is a part of an arm
+that stands there, and ways lead past it wherever it is."""
+
+
 class Scene(NamedTuple):
     """Convex solids on the table, in the world frame; the placed ones first.
 
@@ -100,9 +105,8 @@ class Scene(NamedTuple):
     table: tuple[float, float, float] = LEVEL_TABLE
     """How high the table is at the origin [m], and by how much it leans about x and y [rad]."""
     aside: np.ndarray | None = None
-    """int8[n]: 1: obstacles that stand at the side: ways lead past them, not above them, unless
-    they are between both ends of one; 2: parts of an arm that stands there: ways lead past them
-    wherever they are; None: there are none."""
+    """int8[n]: :data:`AT_THE_SIDE` or :data:`ARM_THERE` of obstacles that ways lead past, not
+    above, 0 of all else; None: there are none of these."""
 
     @property
     def halves(self) -> np.ndarray:
@@ -343,7 +347,7 @@ def _passed(scene: Scene, move: Move) -> np.ndarray:
     carries = np.linalg.norm(scene.position[members] - scene.position[move.cell], axis=1)
     size = float((carries + np.linalg.norm(scene.halves[members], axis=1)).max())
     room = np.hypot(*scene.halves[:, :2].T) + size + CLEARANCE
-    return (scene.aside == 2) | (scene.aside == 1) & (apart > room)
+    return (scene.aside == ARM_THERE) | (scene.aside == AT_THE_SIDE) & (apart > room)
 
 
 def overload(arm: Arm, scene: Scene, move: Move) -> str | None:

@@ -98,7 +98,7 @@ class NearForces:
         self.balance = balance
         count = balance.count
         even, level = _even(balance, forces), np.isinf(balance.columns.lower)
-        self._which = which = np.flatnonzero((even > 0) | level)
+        which = np.flatnonzero((even > 0) | level)
         self._even, self._level = even[which], level[which]
         self._least = np.where(self._level, -np.inf, _LEAST * self._even)
         unit = float(np.median(even[even > 0])) if (even > 0).any() else 1.0
@@ -129,12 +129,7 @@ class NearForces:
     def _keep(self, present: np.ndarray, held: np.ndarray, size: np.ndarray) -> None:
         self._known = [_Balanced(present.copy(), held.copy(), size), *self._known[: _KEPT - 1]]
 
-    def stands(
-        self,
-        present: np.ndarray,
-        held: np.ndarray,
-        push: Push | None = None,
-    ) -> bool:
+    def stands(self, present: np.ndarray, held: np.ndarray, push: Push | None = None) -> bool:
         """Whether a proof is found; where none is, the state may stand all the same.
 
         Args:
@@ -167,14 +162,18 @@ class NearForces:
     ) -> np.ndarray | None:
         """Forces with what blocks lack passed on from each to those nearer to what is held; None
         where one of them cannot do that."""
-        on = self.balance.on(self._bodies, present)
-        free = present & ~self.balance.fixed & ~held
+        on, free = self._there(present, held)
         size = self._continued(known, on)
         lack = self._lack(load, size, free)
         if np.abs(lack[:, [0, 1, 5]]).max(initial=0.0) > _EXACT:
             return None
         self._joints.pass_on(free, on & ~self._level, lack, size)
         return size if self._balanced(size, on, free, load) else None
+
+    def _there(self, present: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which forces there are in a state, and which bricks nothing holds."""
+        on = self.balance.on(self._bodies, present)
+        return on, present & ~self.balance.fixed & ~held
 
     def _continued(self, known: _Balanced, on: np.ndarray) -> np.ndarray:
         """Forces of a known state where its joints are still there; joints of what has come push as
@@ -196,8 +195,9 @@ class NearForces:
             made = self._borne(base, present, held, load)
             if made is not None or not whole:
                 return made
-        part = self._lower_part(present, held)
-        for some in [*([] if part is None else [part]), *([present] if whole else [])]:
+        for some in (self._lower_part(present, held), present if whole else None):
+            if some is None:
+                continue
             base = self._elastic(some, held & some)
             if base is not None:
                 self._base = base
@@ -211,8 +211,7 @@ class NearForces:
     ) -> np.ndarray | None:
         """Forces of a base with what a state needs that has all of it; None where some contact
         points would pull more than they can."""
-        on = self.balance.on(self._bodies, present)
-        free = present & ~self.balance.fixed & ~held
+        on, free = self._there(present, held)
         size = self._continued(base.state, on)
         more = free & ~base.state.present
         if more.any():
@@ -245,13 +244,13 @@ class NearForces:
             gone += 1
             if gone == _OPEN * 3 // 4:
                 break
-        return None if self._loose(lower, held).any() else lower
+        lower &= ~self._loose(lower, held)
+        return lower if int((present & ~lower).sum()) <= _OPEN else None
 
     def _loose(self, present: np.ndarray, held: np.ndarray) -> np.ndarray:
         """bool[count]: bricks that hang on nothing that stands."""
-        count = len(present)
-        a, b = self._bodies
-        on = self.balance.on(self._bodies, present) & ~self._level
+        count, (a, b) = len(present), self._pairs
+        on = present[b] & ((a < 0) | present[a])
         still = np.flatnonzero(present & (self.balance.fixed | held))
         first = np.concatenate([np.where(a[on] < 0, count, a[on]), np.full(len(still), count)])
         pair = first, np.concatenate([b[on], still])
@@ -268,8 +267,7 @@ class NearForces:
         Args:
             thorough: whether a program is asked where spreading finds none.
         """
-        on = self.balance.on(self._bodies, present)
-        free = present & ~self.balance.fixed & ~held
+        on, free = self._there(present, held)
         bricks = 6 * np.flatnonzero(free)[:, None]
         even = _Balanced(present.copy(), held.copy(), np.where(on, self._even, 0.0))
         if len(bricks) < self._pushed:
@@ -295,8 +293,7 @@ class NearForces:
         Args:
             thorough: whether a program is asked where it asks too much of some.
         """
-        on = self.balance.on(self._bodies, state.present)
-        free = state.present & ~self.balance.fixed & ~state.held
+        on, free = self._there(state.present, state.held)
         load, size = self._load(state.present, None), state.size.copy()
         matrix, level = self._matrix[rows][:, columns], self._level[columns]
         across = matrix.T.tocsr()
