@@ -61,13 +61,15 @@ def build_in_turn(
 ) -> Plan:
     """As :func:`~.together.build_together`, a plan with steps that hold a block.
 
+    No file of the build is kept: it could not go on from that, as what was in a hand would have
+    been taken out of it.
+
     Raises:
-        InputError: where the build is to be kept in a file, from which it could not go on: what
-            was in a hand would have been taken out of it.
+        InputError: where there is a file to go on from.
     """
     started = time.perf_counter()
-    if workcell.log is not None:
-        raise InputError("log", "steps that hold a block", "a plan without them")
+    if workcell.log is not None and workcell.log.exists():
+        raise InputError("log", str(workcell.log), "no build to go on from: steps hold a block")
     crew, ways = gather_in_turn(plan, members, workcell, joint), ways_of(plan, members)
     both = InTurn(crew, opened or simulated, plan.steps, ways)
     return built_by(both, plan, progress, started)
