@@ -122,8 +122,11 @@ def test_what_is_in_a_hand_cannot_be_gone_on_with_from_a_file(
     planned: tuple[Plan, list[Member]], tmp_path: Path
 ) -> None:
     plan, members = planned
-    with pytest.raises(InputError, match="steps that hold a block"):
-        build_in_turn(plan, members, Workcell("panda", log=tmp_path / "build.jsonl"))
+    log = tmp_path / "build.jsonl"
+    log.write_text("what another build wrote\n")
+    with pytest.raises(InputError, match="no build to go on from: steps hold a block"):
+        build_in_turn(plan, members, Workcell("panda", log=log))
+    assert log.read_text() == "what another build wrote\n"
 
 
 def test_boxes_around_an_arm_contain_it() -> None:
