@@ -19,9 +19,11 @@ import learn2assemble as l2a
 from learn2assemble.assembly.blocks import Assembly, Block, box_block, hull_block
 from learn2assemble.assembly.instruction_words import facts
 from learn2assemble.assembly.instructions import instructions
+from learn2assemble.cell.arrange import Structure
 from learn2assemble.cell.carry_out import Workcell, carry_out
 from learn2assemble.cell.pieces import pieces_of, ways_to_rest, with_rests
 from learn2assemble.cell.reach import check_held
+from learn2assemble.cell.workcell import job_of
 from learn2assemble.cli.commands import _print_plan
 from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError
@@ -359,6 +361,27 @@ def test_an_arch_is_built_on_posts_and_stands_when_they_are_gone(arch: Plan) -> 
     assert len(arch.record.steps) == 11
 
 
+def test_a_block_waits_only_for_what_stands_when_the_plan_places_it() -> None:
+    """A post that comes later may touch a block that stands: it carries what comes next, too."""
+    arch = STRUCTURES / "arch.obj"
+    plan = l2a.build(arch, blocks=True, unit="mm", friction=0.6, supports="posts")
+    job = job_of(plan, "ur5e", 1e-4)
+    structure = Structure(job)
+    faces = structure.contacts
+    standing, later = set[int](), 0
+    for step in job.steps:
+        if step.remove:
+            standing.discard(step.block)
+            continue
+        assert structure.below[step.block] <= standing
+        under = np.where(faces.b == step.block, faces.a, faces.b)
+        up = np.where(faces.b == step.block, faces.normal[:, 2], -faces.normal[:, 2])
+        under = under[((faces.a == step.block) | (faces.b == step.block)) & (up > 0.1)]
+        later += len(set(under.tolist()) - standing - {-1})
+        standing.add(step.block)
+    assert later, "nothing comes later below what stands: the plan shows nothing"
+
+
 def inside(record: BuildRecord, cell: int, pose: np.ndarray, points: np.ndarray) -> np.ndarray:
     """bool[N]: which points lie in a cell at a pose."""
     own = (points - pose[:3]) @ quaternion_matrix(pose[3:])
@@ -541,3 +564,14 @@ def test_a_run_takes_posts_that_the_arm_cannot_set_as_set_by_hand(arch: Plan) ->
     ran = l2a.run(arch, confirm=pause)
     assert said
     assert not ran.plan.complete
+
+
+def test_a_run_counts_what_the_robot_did() -> None:
+    """Steps of the person are none of its blocks, and none of its seconds a block."""
+    made = runpy.run_path(str(STRUCTURES / "arch.py"))["arch"](5, 0.2, 0.06, 0.08)
+    plan = l2a.build(made, arm="ur5e", supports="posts")
+    done = sum(not step.by_hand for step in plan.steps)
+    assert done < len(plan.steps)
+    ran = l2a.run(plan)
+    assert ran.complete, ran.reason
+    assert ran.blocks == done

@@ -12,6 +12,7 @@ import trimesh
 from PIL import Image
 
 import learn2assemble as l2a
+from learn2assemble.assembly.files import to_json, write_assembly
 from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.holes import close_holes
@@ -331,3 +332,30 @@ def test_objects_of_a_mesh_are_blocks_where_that_is_asked_for() -> None:
         read_design(path, blocks=True)
     with pytest.raises(InputError, match="unit and up alone"):
         read_design(path, blocks=True, unit="mm", cells_wide=5)
+
+
+def test_meshes_of_a_folder_are_blocks(tmp_path: Path) -> None:
+    """As `check` reads them: one file a block, of a plan that lies in it those."""
+    whole = read_design(DESIGNS.parent / "structures" / "arch.obj", blocks=True, unit="mm")
+    assert isinstance(whole, l2a.Assembly)
+    folder = tmp_path / "stones"
+    folder.mkdir()
+    for block in whole.blocks:
+        mesh = trimesh.convex.convex_hull(block.vertices * 1e3)
+        mesh.export(folder / f"{block.id}.stl")
+    for asked in ({}, {"blocks": True}):
+        read = read_design(folder, unit="mm", **asked)
+        assert isinstance(read, l2a.Assembly)
+        volumes = {b.id: b.volume for b in whole.blocks}
+        assert {b.id: b.volume for b in read.blocks} == pytest.approx(volumes, rel=1e-5)
+    with pytest.raises(InputError, match="mm, cm, m or in"):
+        read_design(folder)
+    with pytest.raises(InputError, match="cells_wide"):
+        read_design(folder, unit="mm", cells_wide=5)
+    write_assembly(whole, folder / "assembly.json")
+    again = read_design(folder)
+    assert isinstance(again, l2a.Assembly)
+    assert to_json(again) == to_json(whole)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="a folder without a plan or meshes"):
+        read_design(tmp_path / "empty")

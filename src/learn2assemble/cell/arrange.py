@@ -71,17 +71,15 @@ class Structure:
         count = len(job.pieces)
         self.below: list[set[int]] = [set() for _ in range(count)]
         self.above: list[set[int]] = [set() for _ in range(count)]
-        lying = self.lying
-        for a, b, normal in zip(lying.a.tolist(), lying.b.tolist(), lying.normal, strict=True):
-            self._rests(a, b, float(normal[2]))
-        self.leans = self._leaning()
+        self._there = _stood_before(job.steps)
+        self._take_up()
         last = {step.block for step in job.steps} - {
             step.block for step in job.steps if step.remove
         }
         if self._pressing(frozenset(last)) is None:
             # Edges and points carry.
             self.contacts, _ = add_point_contacts(job.assembly, self.contacts)
-            self._leaning()
+            self._take_up()
             self.leans = True
         standing: set[int] = set()
         self._proven = {frozenset(standing)}
@@ -89,28 +87,22 @@ class Structure:
             standing = standing - {step.block} if step.remove else standing | {step.block}
             self._proven.add(frozenset(standing))
 
-    def _rests(self, a: int, b: int, up: float) -> None:
-        """A block, a or b, rests on the other one; ``up`` is the normal towards b."""
-        lower, upper = (a, b) if up > 0 else (b, a)
-        if upper >= 0 and lower >= 0:
-            self.below[upper].add(lower)
-            self.above[lower].add(upper)
+    def _take_up(self) -> None:
+        """Take up what rests on what, and whether anything leans.
 
-    def _leaning(self) -> bool:
-        """Take up what leans on what, where joints lean: in the order of the steps, as what leans
-        on two others is placed when both are there; whether any does."""
-        place = {step.block: n for n, step in enumerate(self.job.steps) if not step.remove}
+        A block rests on what stands when the plan places it: what touches it from below and comes
+        later, as a post for what comes next, or is gone by then, is nothing that it waits for.
+        """
         ends = zip(self.contacts.a.tolist(), self.contacts.b.tolist(), strict=True)
-        found = False
-        for (a, b), normal in zip(ends, self.contacts.normal, strict=True):
-            steep = abs(float(normal[2]))
-            if not LEANING < steep < 1 - LEANING:
+        self.leans = False
+        for (a, b), up in zip(ends, self.contacts.normal[:, 2].tolist(), strict=True):
+            if abs(up) <= LEANING:
                 continue
-            found = True
-            lower, upper = (a, b) if normal[2] > 0 else (b, a)
-            if upper >= 0 and lower >= 0 and place.get(lower, 0) < place.get(upper, 0):
-                self._rests(a, b, float(normal[2]))
-        return found
+            self.leans = self.leans or abs(up) < 1 - LEANING
+            lower, upper = (a, b) if up > 0 else (b, a)
+            if lower >= 0 and upper >= 0 and lower in self._there[upper]:
+                self.below[upper].add(lower)
+                self.above[lower].add(upper)
 
     def ways_in(self, block: int, standing: set[int]) -> tuple[Direction, ...]:
         """Unit vectors along which a block may come to its place, the best ones first: straight
@@ -200,6 +192,19 @@ class Structure:
                     found.append(upper)
                     queue.append(upper)
         return sorted(found, key=lambda k: -self.job.pieces[k].target[2])
+
+
+def _stood_before(steps: Sequence[StepOf]) -> dict[int, frozenset[int]]:
+    """By block, what stands when it is placed."""
+    found: dict[int, frozenset[int]] = {}
+    standing: frozenset[int] = frozenset()
+    for step in steps:
+        if step.remove:
+            standing -= {step.block}
+        else:
+            found.setdefault(step.block, standing)
+            standing |= {step.block}
+    return found
 
 
 def ways_in(faces: Contacts, block: int, standing: set[int]) -> tuple[Direction, ...]:

@@ -10,8 +10,17 @@ from typing import Any
 
 from learn2assemble.assembly.blocks import check_count
 from learn2assemble.assembly.bricks.files import is_of_bricks
+from learn2assemble.design.reading import FOLDER
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.files import MAX_BYTES, as_path, decoded, load_json, nearest, read_bytes
+from learn2assemble.files import (
+    MAX_BYTES,
+    as_path,
+    decoded,
+    load_json,
+    nearest,
+    printable,
+    read_bytes,
+)
 
 GOALS = b'"learn2assemble-goals"'
 """What a file of goals says of its format."""
@@ -28,6 +37,7 @@ class DesignFile:
         source: what messages call it.
         kind: see :func:`kind_of`.
         document: the value in a file of JSON; None for others.
+        folder: where it is a folder of meshes; None for files.
     """
 
     name: str
@@ -35,10 +45,11 @@ class DesignFile:
     kind: str
     content: bytes
     document: Any = None
+    folder: Path | None = None
 
 
 def open_design(path: str | Path, names: Collection[str] = ()) -> DesignFile:
-    """The content of the file of a design.
+    """The content of the file of a design, or a folder with a mesh for each block.
 
     Args:
         names: of what is no file; a word that is none of them may be one that is misspelt.
@@ -50,6 +61,8 @@ def open_design(path: str | Path, names: Collection[str] = ()) -> DesignFile:
     alone = path.suffix == "" and len(path.parts) < 2
     if names and alone and not (path.exists() or nearest(path)):
         raise UnknownNameError("design", str(path), names)
+    if path.is_dir():
+        return DesignFile(path.name, printable(str(path)), FOLDER, b"", folder=path)
     content, source = read_bytes(path, "design file", MAX_FILE)
     kind, document = kind_of(content, source), None
     if begin(content)[:1] in (b"{", b"["):

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from learn2assemble.design.lattice import MAX_CELLS, fit
 from learn2assemble.design.pictures import LOSSY, read_picture
 from learn2assemble.design.reading import (
     ARRAY,
+    FOLDER,
     Extent,
     Lengths,
     Reading,
@@ -129,11 +130,35 @@ def _objects(file: DesignFile, kit: Kit | None, reading: Mapping[str, Any]) -> o
     _refuse(set(reading) - {"blocks", "unit", "up"}, "unit and up alone with blocks")
     if file.kind not in KINDS:
         raise InputError("blocks", file.source, f"a mesh of {', '.join(KINDS)}")
-    if given.unit is None and file.kind != "glb":
-        raise InputError("unit", None, "mm, cm, m or in: the file does not say it")
-    unit = UNITS[given.unit or "m"]
-    up = None if given.up is None else ("y" if given.up == "y" else "z")
+    unit, up = _metres(given, file.kind == "glb"), _upward(given)
     return parse_assembly(file.content, file.source, file.name, unit=unit, up=up)
+
+
+def _folder(file: DesignFile, kit: Kit | None, reading: Mapping[str, Any]) -> Assembly:
+    """The blocks of a folder, one mesh each, or of the plan in it."""
+    from learn2assemble.assembly.files import MESH_SUFFIXES, NAME, read_assembly
+
+    assert file.folder is not None
+    given = Reading.of(reading)
+    given.check(file.kind)
+    suffixes = {path.suffix.lower() for path in file.folder.iterdir()}
+    said = (file.folder / NAME).is_file() or not suffixes & ({*MESH_SUFFIXES} - {".glb"})
+    return read_assembly(file.folder, unit=_metres(given, said), up=_upward(given), kit=kit)
+
+
+def _metres(given: Reading, said: bool) -> float:
+    """The unit of meshes that are blocks [m].
+
+    Args:
+        said: whether the files are in metres where the caller says nothing.
+    """
+    if given.unit is None and not said:
+        raise InputError("unit", None, "mm, cm, m or in: the file does not say it")
+    return UNITS[given.unit or "m"]
+
+
+def _upward(given: Reading) -> Literal["y", "z"] | None:
+    return None if given.up is None else ("y" if given.up == "y" else "z")
 
 
 def _cells(
@@ -241,5 +266,6 @@ READERS: dict[str, Callable[[DesignFile, Kit | None, Mapping[str, Any]], object]
     **dict.fromkeys(LOSSY, _cells(_picture)),
     **dict.fromkeys(("npy", "npz"), _cells(_voxels)),
     **dict.fromkeys(("stl", "obj", "ply", "off", "glb", "3dm"), _objects),
+    FOLDER: _folder,
 }
 """What reads each kind of file that :func:`~learn2assemble.design.files.kind_of` tells."""

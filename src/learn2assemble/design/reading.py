@@ -16,8 +16,8 @@ from learn2assemble.files import FARTHEST, UNITS
 
 DEFAULT_CELL = (0.05, 0.05, 0.05)
 """Edges of a cell where neither the caller nor a kit says [m]."""
-ARRAY = "array"
-"""The kind of a design that is given as a numpy array."""
+ARRAY, FOLDER = "array", "folder"
+"""The kinds of a design that is a numpy array, and of a folder of meshes."""
 _LENGTHS = 1e-4, 100.0
 """Shortest and longest length an option may give [m]."""
 _USUAL_WIDE = 32
@@ -36,6 +36,7 @@ _READ = {
     **dict.fromkeys(("stl", "obj", "ply", "glb", "off", "3dm"), _MESH),
     **dict.fromkeys(("npy", "npz"), _CELLS),
     ARRAY: _CELLS | {"colours"},
+    FOLDER: frozenset({"unit", "up", "blocks"}),
 }
 """Options that mean something for a kind of design; others are refused."""
 

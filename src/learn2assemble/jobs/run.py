@@ -74,7 +74,7 @@ class Ran(NamedTuple):
     reason: str | None
     """In words; None where everything is done."""
     blocks: int
-    """That were placed or taken away in this run."""
+    """That the robot placed or took away in this run."""
     seconds: float
     """How long the robot took for that [s of its clock]."""
     link: Link
@@ -250,11 +250,15 @@ def _run(
     def go_on(action: Action) -> bool:
         return confirm(satisfied(), f"{action.what} {building.world.pieces[action.block].id}")
 
-    before, begun = satisfied(), timed.last
+    def by_robot() -> int:
+        own = (step for step in known.order if step not in known.by_hand)
+        return sum(known.satisfied(step) for step in own)
+
+    before, begun = by_robot(), timed.last
     reason = building.run(progress, go_on)
     took = time.perf_counter() - started
     done = carried_out(plan, [Worked(building, workcell, witness)], reason, took, plant)
-    seconds, placed = max(timed.last - begun, 0.0), satisfied() - before
+    seconds, placed = max(timed.last - begun, 0.0), by_robot() - before
     return Ran(done, building.stopped, reason, placed, round(seconds, 2), timed.link(plant))
 
 
