@@ -8,14 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
+from scipy.sparse.csgraph import dijkstra
 
 import learn2assemble as l2a
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError
 from learn2assemble.export.formats import export_assembly
+from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.tiling.bricks import slabs_of
+from learn2assemble.planning.tiling.bearing import NO_WAY, least_ways
+from learn2assemble.planning.tiling.bricks import _Tiler, slabs_of
 from learn2assemble.statics.holding import Balance
 from test_brick_order import replay
 
@@ -248,3 +252,51 @@ def test_a_hollow_ball_is_proven_from_forces_of_states_near(
     assert plan.status == "complete"
     assert plan.blocks.used > 500
     assert len(asked) < plan.blocks.used / 10
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_ways_to_the_ground_are_the_shortest_there_are(seed: int) -> None:
+    """Of one layer, by another library; and no brick's are shorter than if layers were whole."""
+    rng = np.random.default_rng(seed)
+    cells, below = rng.random((7, 9)) < 0.6, rng.integers(0, 6, (7, 9)).astype(float)
+    below[rng.random(below.shape) < 0.7] = NO_WAY
+    numbers = np.arange(cells.size).reshape(cells.shape)
+    graph = sp.lil_matrix((cells.size + 1, cells.size + 1))
+    for here, there in [(np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])]:
+        both = cells[here] & cells[there]
+        graph[numbers[here][both], numbers[there][both]] = 1.0
+    borne = cells & (below < NO_WAY)
+    graph[numbers[borne], cells.size] = below[borne] + 1.0  # A way of zero would be none.
+    shortest = dijkstra(graph.tocsr(), directed=False, indices=cells.size)[:-1] - 1.0
+    expected = np.where(np.isfinite(shortest), shortest, NO_WAY).reshape(cells.shape)
+    assert (least_ways(below, cells) == np.where(cells, expected, NO_WAY)).all()
+
+
+def test_bricks_that_are_far_from_the_ground_are_covered_anew() -> None:
+    """A slab on pillars: it never costs more than as it was covered at first, and often less."""
+    first, then = [], []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        wanted = np.zeros((14, 14, 2), bool)
+        wanted[:, :, 0] = rng.random((14, 14)) < 0.08
+        wanted[2:12, 2:12, 1] = True
+        costs = first, then
+        for cost, seconds in zip(costs, (0.0, 60.0), strict=True):
+            tiler = _Tiler(wanted, load_kit("lego"), np.random.default_rng(seed))
+            tiler.fill(Clock(seconds))
+            cost.append(sum(1.0 + tiler._cost(b) for b in tiler.bricks))
+            assert (tiler._ways >= tiler._least).all()
+            assert ((tiler.owner >= 0) == wanted).all()
+    assert all(b <= a for a, b in zip(first, then, strict=True))
+    assert sum(then) < sum(first)
+
+
+def test_a_ball_of_many_bricks_is_taken_apart_layer_by_layer() -> None:
+    plan = l2a.build(ball(24), kit="lego", shell=2, hands=True)
+    assert plan.assembly is not None
+    tops = {block.id: float(block.vertices[:, 2].max()) for block in plan.assembly.blocks}
+    highest = 0.0
+    for step in plan.assembly.steps:
+        if step.action == "place":
+            assert tops[step.block] > highest - 3.5 * 9.6e-3
+            highest = max(highest, tops[step.block])

@@ -26,6 +26,8 @@ _TRIES = 300, 10
 _MANY = 500
 """Bricks up to which programs of all of them say what stands; of more, where hands help, what is
 proven from the state before, and a hand holds what is pressed on where it is not."""
+_LAYERS = 2
+"""Bricks high: of many bricks, what is deeper below the highest one is taken away later."""
 _NONE = np.empty(0, np.int64)
 _HELPERS = 6
 """Bricks that are tried to be held for one that does not stand."""
@@ -56,6 +58,10 @@ class TakingApart:
         nobody = np.zeros(mates.count, bool)
         self.first = Transition((), State(~nobody, nobody))
         self.ground = State(self.fixed, nobody)
+        self.top = high[:, 2].tolist()
+        layers = _LAYERS * int((high[:, 2] - low[:, 2]).max(initial=1))
+        self.near = layers if self.many else int(high[:, 2].max(initial=0))
+        """What is deeper below the highest brick is far from it [lattice layers]."""
         self.rank = np.lexsort((low[:, 1], low[:, 0], -high[:, 2])).tolist()
 
     def hanging(self) -> list[int]:
@@ -100,26 +106,32 @@ class TakingApart:
 
     def moves(self, last: Transition) -> Iterator[Transition]:
         """What may be taken away, the highest first: alone, with what hangs on it, at last where a
-        hand has to hold another one from then on."""
+        hand has to hold another one from then on.
+
+        Of many bricks, those far below the highest one have their turn after what comes off
+        together up there: layer by layer, the proof of a state serves many behind it.
+        """
         state = last.state
         held, free = state.held, state.present & ~self.fixed
         single: list[tuple[int, Way, State]] = []
-        highest: list[int] = []
         above, below = self.mates.open(state.present)
         below &= ~self.mates.based & self.help.hands
-        loose = free & (above | below)
-        for b in [b for b in self.rank if loose[b]]:
-            way: Way = "above" if above[b] else "below"
-            rest = _without(state, [b])
-            if self._carries(b, rest):
-                highest += [b] if way == "above" and not held[b] else []
-            elif held[b] or self._meets(b, way, rest):
-                single.append((b, way, rest))
-                yield from self._single(b, way, state, rest)
-        if self.help.hands:
-            groups = [group for b in highest if (group := self._together(b, state))]
-            for group in sorted(groups, key=len):
-                yield from self._several(group, state)
+        loose = [b for b in self.rank if free[b] and (above[b] or below[b])]
+        near = max((self.top[b] for b in loose), default=0) - self.near
+        for upper in (True, False):
+            highest: list[int] = []
+            for b in [b for b in loose if (self.top[b] >= near) == upper]:
+                way: Way = "above" if above[b] else "below"
+                rest = _without(state, [b])
+                if self._carries(b, rest):
+                    highest += [b] if way == "above" and not held[b] else []
+                elif held[b] or self._meets(b, way, rest):
+                    single.append((b, way, rest))
+                    yield from self._single(b, way, state, rest)
+            if self.help.hands:
+                groups = [group for b in highest if (group := self._together(b, state))]
+                for group in sorted(groups, key=len):
+                    yield from self._several(group, state)
         if held.sum() < self.help.holds:
             for b, way, rest in single:
                 for helper in self._helpers(rest):

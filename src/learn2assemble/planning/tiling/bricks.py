@@ -1,9 +1,12 @@
 """Cells of a design filled with bricks that clutch: one connected piece is looked for.
 
 The cells are cut into slabs, each a brick or a plate high (:func:`slabs_of`). Each slab is covered
-from a corner by the brick that links most bricks below and above it; then parts that hang together
-with nothing else are covered anew, with their neighbours in the slab, until everything is one piece
-or all of it is in pieces that stand on the ground. What falls is covered anew where it moves first.
+from below: cells over nothing first, the farthest out before others, the rest from a corner, by the
+brick that links most bricks below and above it and is nearest to the ground (:mod:`.bearing`).
+Where bricks bear on nothing, or far out on others, they are covered anew with their neighbours in
+the slab as long as that helps; then parts that hang together with nothing else, until everything is
+one piece or all of it is in pieces that stand on the ground. What falls is covered anew where it
+moves first.
 """
 
 from __future__ import annotations
@@ -27,11 +30,22 @@ from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.brick_plan import plan_bricks
 from learn2assemble.planning.plan import CellCount, Plan
 from learn2assemble.planning.sequence import Supports
+from learn2assemble.planning.tiling.bearing import (
+    NO_WAY,
+    Layer,
+    best_brick,
+    cost_of,
+    least_ways,
+    ways_of,
+)
 from learn2assemble.statics.holding_check import JointAnswer, stands_by_joints
 
-_LINK, _LOOSE, _CHANCES = 3.0, 100.0, (0.5, 4.0)
-"""What a brick linked above or below is worth, in cells; what it costs to link none; how much
-chance is added, at first and where something is covered anew."""
+_CHANCES = 0.5, 8.0
+"""How much chance is added to what a brick is worth [cells], at first and where something is
+covered anew."""
+_FAR, _AGAIN = 6.0, 60
+"""What a brick costs at least that is covered anew, see :func:`.cost_of`, and how often for each of
+them."""
 _TRIES, _REPAIRS = 4000, 60
 """Layers covered anew at most: for one piece, and for one that stands."""
 _SHARE = 0.4
@@ -69,7 +83,7 @@ def plan_brick_cells(
     if shell is not None:
         wanted &= ~_inside(wanted, shell, brick_layers(kit) if kit.plates else 1)
     tiler = _Tiler(wanted, kit, np.random.default_rng(seed))
-    tiler.fill()
+    tiler.fill(clock)
     tiler.join(clock)
     progress(f"{len(tiler.bricks)} bricks in {tiler.pieces()} pieces")
     assembly, found = _standing(tiler, design, kit, clock)
@@ -245,12 +259,14 @@ class _Tiler:
         """Of the kit, to a cell."""
         extents = [(np.max(kind.cells, 0) + 1).tolist() for kind in kit.kinds]
         self.sizes = {
-            height: sorted({s for x, y, z in extents if z == height for s in ((x, y), (y, x))})
+            height: np.array(
+                sorted({s for x, y, z in extents if z == height for s in ((x, y), (y, x))})
+            )
             for height in {self.layers * (slab.high - slab.low) for slab in self.slabs}
         }
         """Extents along x and y, by height [layers]."""
         for height, sizes in self.sizes.items():
-            if (1, 1) not in sizes:
+            if [1, 1] not in sizes.tolist():
                 one = "brick 1x1" if height == layers else "plate 1x1"
                 raise InputError("kit", kit.name, f"a kit with the {one}, for designs of cells")
         self.rng, self.wanted = rng, wanted
@@ -258,63 +274,109 @@ class _Tiler:
         """The brick of every cell, or -1."""
         self.bricks: dict[int, _Placed] = {}
         self._next = 0
+        self._ways, self._least = np.full((2, *wanted.shape), NO_WAY)
+        """Of every cell to the ground [studs], and the least that they could be."""
+        for low, high, cells in self.slabs:
+            below = self._least[:, :, low - 1] if low else np.zeros(cells.shape)
+            self._least[:, :, low:high][cells] = least_ways(below, cells)[cells][:, None]
+        self._ground = np.zeros(wanted.shape[:2])
+        self._out = [
+            least_ways(np.where(wanted[:, :, low - 1], 0.0, NO_WAY), cells) if low else self._ground
+            for low, _, cells in self.slabs
+        ]
+        """Of every slab float64[X, Y]: studs from a cell to the next one over something."""
 
-    def fill(self) -> None:
-        """Cover everything, from below."""
+    def fill(self, clock: Clock) -> None:
+        """Cover everything, from below, each slab anew where that helps."""
         for number, slab in enumerate(self.slabs):
             self._cover(number, slab.cells.copy(), _CHANCES[0])
+            self._nearer(number, clock)
+
+    def _nearer(self, number: int, clock: Clock) -> None:
+        """Cover bricks of a slab anew that are far from the ground, as long as that costs less."""
+        far = [b for b, one in self.bricks.items() if one.slab == number and self._cost(b) >= _FAR]
+        for _ in range(_AGAIN * len(far)):
+            if not far or clock.left <= 0:
+                return
+            some = self._around([far[int(self.rng.integers(len(far)))]], number)
+            kept = {b: self.bricks[b] for b in some}
+            before, first = sum(1.0 + self._cost(b) for b in some), self._next
+            self._cover(number, self._take(some, number), _CHANCES[1])
+            new = {b: self._cost(b) for b in range(first, self._next)}
+            if sum(1.0 + cost for cost in new.values()) <= before:
+                far = [b for b in far if b not in kept] + [b for b in new if new[b] >= _FAR]
+                continue
+            for b in new:
+                del self.bricks[b]
+            for b, one in kept.items():
+                self._lay(b, one)
 
     def again(self, bricks: list[int]) -> None:
         """Cover some bricks anew, with what touches them in their slab."""
         for number in sorted({self.bricks[b].slab for b in bricks if b in self.bricks}):
-            low, high, cells = self.slabs[number]
-            owner = np.where(cells, self.owner[:, :, low], -1)
-            here = np.isin(owner, bricks)
-            wide = here.copy()
-            wide[1:] |= here[:-1]
-            wide[:-1] |= here[1:]
-            wide[:, 1:] |= here[:, :-1]
-            wide[:, :-1] |= here[:, 1:]
-            touched = np.unique(owner[wide])
-            touched = touched[touched >= 0]
-            free = np.isin(owner, touched)
-            for b in touched.tolist():
-                del self.bricks[b]
-            self.owner[:, :, low:high][free] = -1
-            self._cover(number, free, _CHANCES[1])
+            self._cover(number, self._take(self._around(bricks, number), number), _CHANCES[1])
+
+    def _around(self, bricks: list[int], number: int) -> list[int]:
+        """Those of some bricks that are in a slab, with what touches them in it."""
+        low, _, cells = self.slabs[number]
+        owner = np.where(cells, self.owner[:, :, low], -1)
+        here = np.isin(owner, bricks)
+        wide = here.copy()
+        wide[1:] |= here[:-1]
+        wide[:-1] |= here[1:]
+        wide[:, 1:] |= here[:, :-1]
+        wide[:, :-1] |= here[:, 1:]
+        touched = np.unique(owner[wide])
+        return touched[touched >= 0].tolist()
+
+    def _take(self, bricks: list[int], number: int) -> np.ndarray:
+        """bool[X, Y]: the cells of bricks of a slab, which go."""
+        low, high, cells = self.slabs[number]
+        free = cells & np.isin(self.owner[:, :, low], bricks)
+        for b in bricks:
+            del self.bricks[b]
+        self.owner[:, :, low:high][free] = -1
+        return free
+
+    def _lay(self, name: int, brick: _Placed) -> None:
+        i, j, a, b, slab = brick
+        low, high, _ = self.slabs[slab]
+        here = np.s_[i : i + a, j : j + b, low:high]
+        self.bricks[name] = brick
+        self.owner[here] = name
+        self._ways[here] = ways_of(self._ways_below(low), i, j, a, b)[..., None]
+
+    def _ways_below(self, low: int) -> np.ndarray:
+        return np.ascontiguousarray(self._ways[:, :, low - 1]) if low else self._ground
+
+    def _cost(self, brick: int) -> float:
+        x, y, a, b, slab = self.bricks[brick]
+        here = np.s_[x : x + a, y : y + b, self.slabs[slab].low]
+        return cost_of(self._ways[here], self._least[here])
 
     def _cover(self, slab: int, free: np.ndarray, chance: float) -> None:
         low, high, _ = self.slabs[slab]
         sizes = self.sizes[self.layers * (high - low)]
-        below = self.owner[:, :, low - 1] if low else None
-        above = self.owner[:, :, high] if high < self.wanted.shape[2] else None
-        flip = self.rng.random(2) < 0.5
+        nothing = np.full(free.shape, -1)
+        below, above = (
+            np.ascontiguousarray(self.owner[:, :, k]) if 0 <= k < self.wanted.shape[2] else nothing
+            for k in (low - 1, high)
+        )
+        ways, least = self._ways_below(low), np.ascontiguousarray(self._least[:, :, low])
+        layer = Layer(free, below, above, ways, least)
+        out = self._out[slab]
+        corner = self.rng.random(2) < 0.5
         cells = np.argwhere(free)
-        keys = [-c if f else c for c, f in zip(cells.T, flip, strict=True)]
-        order = np.lexsort(keys if self.rng.random() < 0.5 else keys[::-1])
-        for x, y in cells[order].tolist():
+        keys = [-c if last else c for c, last in zip(cells.T, corner, strict=True)]
+        keys = keys if self.rng.random() < 0.5 else keys[::-1]
+        for x, y in cells[np.lexsort([*keys, -out[free]])].tolist():
             if not free[x, y]:
                 continue
-            best, chosen = -np.inf, (x, y, 1, 1)
-            for a, b in sizes:
-                i, j = x - (a - 1 if flip[0] else 0), y - (b - 1 if flip[1] else 0)
-                if i < 0 or j < 0 or not free[i : i + a, j : j + b].all():
-                    continue
-                if i + a > free.shape[0] or j + b > free.shape[1]:
-                    continue
-                worth = a * b + chance * self.rng.random()
-                links = 0
-                for other in (below, above):
-                    if other is not None:
-                        near = set(other[i : i + a, j : j + b].reshape(-1).tolist()) - {-1}
-                        links += len(near)
-                worth += _LINK * links if links else -_LOOSE
-                if worth > best:
-                    best, chosen = worth, (i, j, a, b)
-            i, j, a, b = chosen
+            where = np.empty(0, bool) if out[x, y] else corner
+            tries = int(sizes.prod(1).sum()) if out[x, y] else len(sizes)
+            i, j, a, b = best_brick(layer, sizes, x, y, where, chance * self.rng.random(tries))
             free[i : i + a, j : j + b] = False
-            self.owner[i : i + a, j : j + b, low:high] = self._next
-            self.bricks[self._next] = _Placed(i, j, a, b, slab)
+            self._lay(self._next, _Placed(i, j, a, b, slab))
             self._next += 1
 
     def labels(self) -> tuple[int, dict[int, int], int]:
