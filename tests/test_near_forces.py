@@ -9,7 +9,7 @@ from learn2assemble.planning.given import plan_assembly
 from learn2assemble.statics.holding import Balance, Push
 from learn2assemble.statics.holding_check import stands_by_joints
 from learn2assemble.statics.holding_forces import forces_of
-from learn2assemble.statics.holding_near import NearForces
+from learn2assemble.statics.holding_near import _SHOWN, NearForces
 from test_brick_order import replay
 
 MODELS = 240
@@ -96,3 +96,33 @@ def test_what_hangs_over_what_is_taken_comes_off_with_it() -> None:
     plan = plan_assembly(model, hands=True)
     assert plan.status == "complete"
     replay(plan)
+
+
+def test_what_many_bricks_need_is_witnessed_and_close_to_the_least() -> None:
+    """Trees of all strengths: forces balance every brick, and need little more than the program."""
+    shown = 0
+    for seed in range(40):
+        model = bricks(*random_bricks(seed, 60))
+        least = stands_by_joints(model).need.share
+        if not np.isfinite(least):
+            continue
+        for share in (0.02, 0.5, 0.97, 1.02):
+            found = stands_by_joints(model.with_capacity(0.7 * max(least, 1e-3) / share))
+            if found.tight:
+                continue
+            balance = found.balance
+            near = NearForces(balance, found.forces).need()
+            if near is None:
+                assert found.need.share > 0.99 * _SHOWN
+                continue
+            assert found.need.share - 1e-6 <= near.share <= 1.0
+            assert near.share <= _SHOWN + 1e-6
+            shown += 1
+            columns = balance.columns
+            assert ((near.forces >= columns.lower - 1e-9) & (near.forces <= columns.upper)).all()
+            load = balance.pushed(None) * balance.unit
+            pull = balance.pulls @ np.ones(len(balance.pull_bodies[0])) * balance.unit
+            lack = load - near.share * pull - balance.wrench @ near.forces
+            lack[np.repeat(balance.fixed, 6)] = 0.0
+            assert np.abs(lack).max() < 1e-6 * balance.unit
+    assert shown > 30

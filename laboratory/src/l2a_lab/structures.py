@@ -1,6 +1,7 @@
 """What is reached with blocks that are given, measured: ``results/structures.json``.
 
-Order with supports and proof, checks, the fewest posts, and every state against MuJoCo. ``seconds``
+Order with supports and proof, checks, the fewest posts, every state against MuJoCo, and meshes that
+are built of bricks (:mod:`.meshes`). ``seconds``
 are of the processor, so that other programs on the machine do not count.
 """
 
@@ -18,6 +19,7 @@ from typing import Any, NamedTuple
 
 from l2a_lab.fewest_posts import fewest_posts, random_assembly
 from l2a_lab.measured import Figures, Result
+from l2a_lab.meshes import MESHES, mesh_entry, mesh_rows
 from l2a_lab.rebuilding import PAIRS, RATIO, rebuild_entry
 from l2a_lab.states import GAP, count_states, every, largest_moves
 from l2a_lab.states import SECONDS as SIMULATED
@@ -116,6 +118,7 @@ def names() -> list[str]:
     """Every measurement: kind / structure or seed. Recorded ones where their files are."""
     found = [f"order/{name}" for name, case in ORDERS.items() if case.file.exists()]
     found += [f"check/{name}" for name, case in CHECKS.items() if case.file.exists()]
+    found += [f"mesh/{name}" for name in MESHES]
     found += [f"posts/{seed}" for seed in range(RANDOM)]
     found += [f"pile/{seed}" for seed in range(PILES)]
     found += [f"rebuild/{seed}" for seed in range(PAIRS)]
@@ -142,6 +145,8 @@ def entry(name: str) -> Result:
         return check_entry(CHECKS[what])
     if kind == "states":
         return states_entry(ORDERS[what])
+    if kind == "mesh":
+        return mesh_entry(what)
     if kind == "rebuild":
         return rebuild_entry(int(what))
     return pile_entry(int(what)) if kind == "pile" else posts_entry(int(what))
@@ -264,6 +269,7 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
     for name, one in groups.get("check", {}).items():
         got = f"{one['seconds']:.1f} s, {one['verdict']}"
         rows.append((f"check: {name}", f"<= {one['seconds_asked']:g} s", got))
+    rows += mesh_rows(groups.get("mesh", {}))
     if posts := groups.get("posts"):
         known = {name: one for name, one in posts.items() if one["fewest_posts"] is not None}
         same = [

@@ -12,6 +12,10 @@ from learn2assemble.assembly.joints import Joint
 from learn2assemble.errors import InputError
 from learn2assemble.statics.holding import Balance, Need
 from learn2assemble.statics.holding_forces import Columns, Forces, forces_of
+from learn2assemble.statics.holding_near import NearForces
+
+_MANY = 1000
+"""Blocks from which forces that need a small share of the strength are an answer, not the least."""
 
 
 class JointAnswer(NamedTuple):
@@ -40,6 +44,8 @@ def stands_by_joints(assembly: Assembly) -> JointAnswer:
         expected = "a block with a face on z = 0, or a support block"
         raise InputError(where, float(low.vertices[:, 2].min()), expected)
     balance = Balance(assembly, forces)
+    if balance.count > _MANY and (near := NearForces(balance, forces).need()) is not None:
+        return JointAnswer(near, False, balance, forces)
     need = balance.need()
     beside = Columns(*(field[~forces.upright] for field in forces.columns))
     if need.stands or not len(beside.b) or not balance.lessened_by(beside):

@@ -17,18 +17,17 @@ than it can, the state stands. Where all fails, nothing is said, and the program
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from numba import njit
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from learn2assemble.statics.holding import Balance, Push
+from learn2assemble.statics.holding import Balance, Need, Push
 from learn2assemble.statics.holding_forces import Forces
 from learn2assemble.statics.holding_solver import nearest
+from learn2assemble.statics.passing_on import PARTS, JointSums
 
 _KEPT = 4
 """States whose forces are kept to go on from."""
@@ -47,6 +46,8 @@ _LEVEL = 100.0
 """How stiff a level force, or a couple about the vertical, is beside a push in the middle."""
 _SPARE = 0.02
 """Share of the push that a program of elastic joints leaves everywhere."""
+_SHOWN = 0.1
+"""Share of the strength with which no one looks for the least that many bricks need."""
 _FEWER = 0.9
 """Share of the bricks at which pushes alone are tried again, once they did not do."""
 _OPEN = 64
@@ -57,8 +58,6 @@ _SYMMETRIC: Any = {
     "options": {"SymmetricMode": True},
 }
 """Factors of a positive definite matrix, without a search for pivots, which would fill them."""
-_PARTS = np.array([2, 3, 4])
-"""Of the six rows of a block: its weight, and the couples about the level axes."""
 
 
 class _Balanced(NamedTuple):
@@ -98,7 +97,7 @@ class NearForces:
         self.balance = balance
         count = balance.count
         even, level = _even(balance, forces), np.isinf(balance.columns.lower)
-        which = np.flatnonzero((even > 0) | level)
+        self._which = which = np.flatnonzero((even > 0) | level)
         self._even, self._level = even[which], level[which]
         self._least = np.where(self._level, -np.inf, _LEAST * self._even)
         unit = float(np.median(even[even > 0])) if (even > 0).any() else 1.0
@@ -106,7 +105,7 @@ class NearForces:
         a, b = balance.bodies
         self._bodies = a[which], b[which]
         self._matrix = balance.wrench[:, which].tocsr()
-        self._joints = _JointSums(self._matrix, self._bodies, count)
+        self._joints = JointSums(self._matrix, self._bodies, count)
         pairs = np.unique(np.column_stack(self._bodies)[~self._level], axis=0)
         self._pairs = pairs.T
         self._below: list[list[int]] = [[] for _ in range(count)]
@@ -125,6 +124,27 @@ class NearForces:
         made = self._elastic(present, held, thorough=True)
         if made is not None:
             self._keep(present, held, made.state.size)
+
+    def need(self) -> Need | None:
+        """Forces of all blocks that need at most :data:`_SHOWN` of the strength, not the least that
+        do; None where none are found."""
+        balance, push, even = self.balance, self._even > 0, self._even
+        size = self._known[-1].size if self._known else np.zeros(len(even))
+        if (size < (1.0 - _SHOWN) * even).any():
+            rows = np.flatnonzero(np.repeat(~balance.fixed, 6))
+            everything = np.ones(balance.count, bool)
+            load = self._load(everything, None)
+            lack = self._lack(load, even, ~balance.fixed).reshape(-1)[rows]
+            lower = np.where(push, -_SHOWN * even, -np.inf)
+            stiff = np.where(push, even, self._stiff)
+            more = nearest(self._matrix[rows], lack, lower, stiff)
+            if more is None:
+                return None
+            size = even + more
+        share = 1.0 - float(np.min(size[push] / even[push], initial=1.0))
+        found = np.zeros(len(balance.columns.b))
+        found[self._which] = (size - (1.0 - share) * even) * balance.unit
+        return Need(share, found)
 
     def _keep(self, present: np.ndarray, held: np.ndarray, size: np.ndarray) -> None:
         self._known = [_Balanced(present.copy(), held.copy(), size), *self._known[: _KEPT - 1]]
@@ -271,7 +291,7 @@ class NearForces:
         bricks = 6 * np.flatnonzero(free)[:, None]
         even = _Balanced(present.copy(), held.copy(), np.where(on, self._even, 0.0))
         if len(bricks) < self._pushed:
-            rows = (bricks + _PARTS).reshape(-1)
+            rows = (bricks + PARTS).reshape(-1)
             found = self._spread(even, rows, np.flatnonzero(on & ~self._level))
             if found is not None:
                 return found
@@ -344,130 +364,6 @@ def _within(known: _Balanced, present: np.ndarray, held: np.ndarray) -> bool:
     """Whether a state has all that a known one has, and not many bricks more."""
     missing = (known.present & ~present).any() or (known.held & ~held).any()
     return not missing and int((present & ~known.present).sum()) <= _OPEN
-
-
-class _JointSums:
-    """Pushes by block, to pass on from block to block what is not balanced.
-
-    Args:
-        matrix: [6 count, n], wrenches of unit forces on blocks.
-        bodies: int64[n] each, the lower block of a push, or GROUND, and the upper one.
-    """
-
-    def __init__(
-        self, matrix: sp.csr_matrix, bodies: tuple[np.ndarray, np.ndarray], count: int
-    ) -> None:
-        a, b = bodies
-        n = len(b)
-        whole = np.zeros((2, n, 6))
-        entries = matrix.tocoo()
-        block, part = np.divmod(entries.row, 6)
-        for body, side in zip((a, b), whole, strict=True):
-            mine = body[entries.col] == block
-            side[entries.col[mine], part[mine]] = entries.data[mine]
-        on_a, on_b = np.ascontiguousarray(whole[..., _PARTS])
-        self._sides = a, b, on_a, on_b
-        real = np.flatnonzero(a >= 0)
-        of = np.concatenate([a[real], b])
-        self._pushes = np.concatenate([real, np.arange(n)])[np.argsort(of, kind="stable")]
-        self._start = np.append(0, np.cumsum(np.bincount(of, minlength=count)))
-
-    def pass_on(self, free: np.ndarray, on: np.ndarray, lack: np.ndarray, size: np.ndarray) -> None:
-        """Pass on what blocks lack to those nearer to what is held, and change ``size`` by it."""
-        a, b, _, _ = self._sides
-        order, rank = _ranked(self._start, self._pushes, a, b, on, free)
-        part = np.ascontiguousarray(lack[:, _PARTS])
-        _pass_on(order, rank, self._start, self._pushes, self._sides, on, part, size)
-
-
-@njit(cache=True)
-def _ranked(start, columns, a, b, on, free):  # pragma: no cover
-    """Blocks that nothing holds, from what is held outwards, and how many joints they are from
-    it."""
-    count = len(free)
-    rank = np.zeros(count, np.int64)
-    order, known = np.empty(count, np.int64), 0
-    for m in range(count):
-        if free[m]:
-            rank[m] = -1
-            for i in range(start[m], start[m + 1]):
-                k = columns[i]
-                o = a[k] if b[k] == m else b[k]
-                if on[k] and (o < 0 or not free[o]):
-                    rank[m] = 1
-                    order[known] = m
-                    known += 1
-                    break
-    first = 0
-    while first < known:
-        m = order[first]
-        first += 1
-        for i in range(start[m], start[m + 1]):
-            k = columns[i]
-            o = a[k] if b[k] == m else b[k]
-            if on[k] and o >= 0 and rank[o] < 0:
-                rank[o] = rank[m] + 1
-                order[known] = o
-                known += 1
-    return order[:known], rank
-
-
-@njit(cache=True)
-def _solve(matrix, right, found):  # pragma: no cover
-    """Cholesky's factors of a matrix, in its place, and the solution."""
-    for i in range(3):
-        for j in range(i + 1):
-            rest = matrix[i, j]
-            for k in range(j):
-                rest -= matrix[i, k] * matrix[j, k]
-            if i == j:
-                matrix[i, i] = math.sqrt(max(rest, 1e-14))
-            else:
-                matrix[i, j] = rest / matrix[j, j]
-    for i in range(3):
-        found[i] = right[i]
-        for k in range(i):
-            found[i] -= matrix[i, k] * found[k]
-        found[i] /= matrix[i, i]
-    for i in range(2, -1, -1):
-        for k in range(i + 1, 3):
-            found[i] -= matrix[k, i] * found[k]
-        found[i] /= matrix[i, i]
-
-
-@njit(cache=True)
-def _pass_on(order, rank, start, columns, sides, on, lack, size):  # pragma: no cover
-    a, b, on_a, on_b = sides
-    normal, motion = np.empty((3, 3)), np.empty(3)
-    for position in range(len(order) - 1, -1, -1):
-        m = order[position]
-        if max(abs(lack[m, 0]), abs(lack[m, 1]), abs(lack[m, 2])) < 1e-13:
-            continue
-        normal[:] = 0.0
-        for i in range(start[m], start[m + 1]):
-            k = columns[i]
-            mine = b[k] == m
-            o = a[k] if mine else b[k]
-            if on[k] and (o < 0 or rank[o] < rank[m]):
-                w = on_b[k] if mine else on_a[k]
-                for p in range(3):
-                    for q in range(3):
-                        normal[p, q] += size[k] * w[p] * w[q]
-        _solve(normal, lack[m], motion)
-        for i in range(start[m], start[m + 1]):
-            k = columns[i]
-            mine = b[k] == m
-            o = a[k] if mine else b[k]
-            if on[k] and (o < 0 or rank[o] < rank[m]):
-                w = on_b[k] if mine else on_a[k]
-                more = size[k] * (w[0] * motion[0] + w[1] * motion[1] + w[2] * motion[2])
-                size[k] += more
-                for p in range(3):
-                    lack[m, p] -= w[p] * more
-                if o >= 0 and rank[o] > 0:
-                    other = on_a[k] if mine else on_b[k]
-                    for p in range(3):
-                        lack[o, p] -= other[p] * more
 
 
 def _even(balance: Balance, forces: Forces) -> np.ndarray:
