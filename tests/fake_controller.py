@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.motion.driver import driver_of
 from learn2assemble.motion.plant import (
     BlockReading,
     Motion,
@@ -32,7 +33,6 @@ from learn2assemble.motion.plant import (
     ToolCommand,
     ToolReading,
 )
-from learn2assemble.motion.program import driver_of
 from learn2assemble.motion.setup import Setup
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.simulation.plant import DynamicPlant

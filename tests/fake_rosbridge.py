@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from fake_controller import CYCLE, FakeController
+from learn2assemble.motion.driver import driver_of
 from learn2assemble.motion.plant import Motion
-from learn2assemble.motion.program import driver_of
 from learn2assemble.robot.arm import get_arm
 
 TEXT, CLOSE, PING, PONG = 1, 8, 9, 10

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from fake_controller import CYCLE, FakeController
-from learn2assemble.motion.program import driver_of
+from learn2assemble.motion.driver import driver_of
 from urscript import Halt, Script, ScriptError
 
 RTDE_PORT = 30004

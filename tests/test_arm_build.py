@@ -19,7 +19,8 @@ from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene
-from learn2assemble.simulation.cell import DynamicCell, play
+from learn2assemble.simulation.cell import DynamicCell
+from learn2assemble.simulation.dry_run import play
 from learn2assemble.tasks import episode
 from learn2assemble.tasks.episode import build_task, sample_problem
 from learn2assemble.tasks.standing import RealCell, left_to_build

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,12 +16,18 @@ from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.bricks import BrickStates
 from learn2assemble.cell.workcell import ROOMS
 from learn2assemble.errors import InputError
+from learn2assemble.export.robot_programs import export_program, read_program
+from learn2assemble.motion.files import read_record, write_record
+from learn2assemble.motion.program import PRESS_SHARE
+from learn2assemble.motion.record import find_fault
+from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.holding import LEAST_GRIP, PAD, STUD_ROOM, holds_of
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Move, Scene
+from learn2assemble.simulation.dry_run import play
 
 DUPLO = load_kit("duplo")
 
@@ -56,6 +63,46 @@ def test_what_tips_when_it_is_pressed_is_built_beside() -> None:
     assert states.stands(three | {3})
     assert not states.stands_pressed([3], three)
     assert states.stands_pressed([2, 3], frozenset({0, 1}))
+
+
+@pytest.fixture(scope="module")
+def stair() -> Plan:
+    plan = l2a.build(STAIR, arm="panda")
+    assert plan.complete, plan.reason
+    return plan
+
+
+def test_a_build_with_a_part_beside_becomes_a_program_that_presses(
+    stair: Plan, tmp_path: Path
+) -> None:
+    """Played without looking, bricks come home on their studs: by pushes alone."""
+    assert stair.record is not None
+    assert find_fault(stair.record) is None
+    write_record(stair.record, tmp_path / "trajectory.json")
+    again = read_record(tmp_path / "trajectory.json")
+    assert again.studs is not None
+    assert stair.record.studs is not None
+    assert len(again.studs.joints) == len(stair.record.studs.joints) == 4
+    for name in ("program.csv", "program.mcap"):
+        file = tmp_path / name
+        export_program(tmp_path, "csv" if name.endswith("csv") else "ros2", file)
+        program, arm = read_program(file, "panda")
+        assert [len(step.cells) for step in program.steps] == [1, 1, 1, 1, 2]
+        pushes = sorted({state.press for state in program.states})
+        assert pushes == pytest.approx([0.0, PRESS_SHARE * DUPLO.joint.press])
+        done = play(program, arm)
+        assert done.same, done.fault
+    gently = tuple(state._replace(press=state.press / 4) for state in program.states)
+    done = play(replace(program, states=gently), arm)
+    assert not done.same
+    assert "loose on its studs" in done.fault
+
+
+def test_a_run_presses_what_is_built_beside(stair: Plan) -> None:
+    """It knew no studs: "left_finger touches b4"."""
+    ran = l2a.run(stair)
+    assert ran.complete, ran.reason
+    assert ran.blocks == len(STAIR.blocks)
 
 
 def test_what_is_built_beside_comes_as_it_is() -> None:

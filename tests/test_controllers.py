@@ -20,6 +20,7 @@ from learn2assemble.controllers.ur import STATE, UrPlant
 from learn2assemble.controllers.ur_motion import motion_script
 from learn2assemble.errors import InputError, MissingExtraError
 from learn2assemble.motion.cubics import CLOSE, between, thinned
+from learn2assemble.motion.driver import driver_of
 from learn2assemble.motion.plant import (
     Guard,
     Motion,
@@ -29,7 +30,6 @@ from learn2assemble.motion.plant import (
     ToolCommand,
     standing,
 )
-from learn2assemble.motion.program import driver_of
 from learn2assemble.motion.settings import ProgramSettings
 from learn2assemble.motion.setup import BlockKind, Setup, Surroundings, open_plant
 from learn2assemble.robot.arm import Arm, get_arm

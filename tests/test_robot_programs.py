@@ -36,9 +36,10 @@ from learn2assemble.export.robot_programs import (
     replay_program,
 )
 from learn2assemble.export.urscript import BLEND, ROUND, held_centre, planned_frame
+from learn2assemble.motion.driver import driver_of
 from learn2assemble.motion.files import write_record
 from learn2assemble.motion.knots import Knots, fit, slow_down, usage
-from learn2assemble.motion.program import Program, driver_of, make_program
+from learn2assemble.motion.program import Program, make_program
 from learn2assemble.motion.record import BuildRecord, find_fault
 from learn2assemble.motion.recorder import BuildRecorder, CellShapes, upright
 from learn2assemble.motion.settings import ToolOutput
@@ -46,7 +47,8 @@ from learn2assemble.robot.arm import Arm, Limits, arm_model, get_arm
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import OPENING, Move, Scene
-from learn2assemble.simulation.cell import DynamicCell, play
+from learn2assemble.simulation.cell import DynamicCell
+from learn2assemble.simulation.dry_run import play
 from robot_scenes import cell, scene
 
 ARMS = ("panda", "ur5e")
@@ -384,6 +386,8 @@ ARITY = {
     "set_tool_digital_out": (2, set()),
     "get_tool_digital_in": (1, set()),
     "sleep": (1, set()),
+    "force_mode": (5, set()),
+    "end_force_mode": (0, set()),
     "textmsg": (2, set()),
     "popup": (1, {"title", "warning", "error", "blocking"}),
     "set_standard_digital_out": (2, set()),

@@ -116,7 +116,8 @@ class Building:
         """... after it has done this, since its last attempt."""
         self.chosen: Callable[[], None] = lambda: None
         """Called when it is decided how the arm moves, before it does."""
-        self.recording = Recording(self.world, self.joints, words)
+        studs = found.structure.studs()
+        self.recording = Recording(self.world, self.joints, words, studs)
         self._resume()
 
     # ------------------------------------------------------------ going on

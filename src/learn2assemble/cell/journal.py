@@ -25,6 +25,7 @@ from learn2assemble.geometry.rotations import quaternion_matrix, yaw_quaternion
 from learn2assemble.motion.record import BuildRecord, ByHand, Samples, Stage, StepRecord
 from learn2assemble.motion.recorder import BuildRecorder, CellShapes
 from learn2assemble.robot.moves import Outcome
+from learn2assemble.robot.studs import GROUND, Studs
 
 FORMAT, VERSION = "learn2assemble-build", 5
 SUM = "checksum"
@@ -121,10 +122,13 @@ class Recording:
         world: where everything is.
         joints: float64[n] where the arm begins [rad].
         words: what the outcomes come from.
+        studs: joints of the structure, in pieces; None: there are none.
     """
 
-    def __init__(self, world: WorkcellBlocks, joints: np.ndarray, words: str) -> None:
-        self.world, self.job, self.words = world, world.job, words
+    def __init__(
+        self, world: WorkcellBlocks, joints: np.ndarray, words: str, studs: Studs | None = None
+    ) -> None:
+        self.world, self.job, self.words, self.studs = world, world.job, words, studs
         count = len(world.pieces)
         self.body = list(range(count))
         """The physical block that each piece is; others where one was lost."""
@@ -245,4 +249,17 @@ class Recording:
         for step in found.steps:
             before = steps[-1].after if steps else whole(step.before)
             steps.append(dataclasses.replace(step, before=before, after=whole(step.after)))
-        return dataclasses.replace(found, steps=tuple(steps), hands=tuple(self.hands))
+        return dataclasses.replace(
+            found, steps=tuple(steps), hands=tuple(self.hands), studs=self._joints()
+        )
+
+    def _joints(self) -> Studs | None:
+        """Those of studs, in cells of the blocks that the pieces are."""
+        if self.studs is None:
+            return None
+        cell = {GROUND: GROUND, **{k: self.cells[body][0] for k, body in enumerate(self.body)}}
+        joints = (
+            joint._replace(lower=cell[joint.lower], upper=cell[joint.upper])
+            for joint in self.studs.joints
+        )
+        return Studs(tuple(joints), self.studs.press)

@@ -386,7 +386,7 @@ def _export_program(options: argparse.Namespace, output: Output) -> None:
 def _replay(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where the same structure results, and 1 where it does not."""
     from learn2assemble.export.robot_programs import replay_program
-    from learn2assemble.simulation.cell import SAME
+    from learn2assemble.simulation.dry_run import SAME
 
     done = replay_program(options.file, options.arm)
     worst = int(done.error.argmax())

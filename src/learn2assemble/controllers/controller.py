@@ -21,6 +21,7 @@ from learn2assemble.controllers.common import (
 )
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.cubics import thinned
+from learn2assemble.motion.driver import Driver, driver_of
 from learn2assemble.motion.plant import (
     Guard,
     Motion,
@@ -32,7 +33,6 @@ from learn2assemble.motion.plant import (
     ToolCommand,
     ToolReading,
 )
-from learn2assemble.motion.program import Driver, driver_of
 from learn2assemble.motion.setup import Setup, Surroundings
 
 if TYPE_CHECKING:

@@ -17,9 +17,10 @@ from learn2assemble.export.robot_tables import read_table, write_franka, write_t
 from learn2assemble.export.ros2 import is_bag, read_bag, write_bag
 from learn2assemble.export.urscript import write_urscript
 from learn2assemble.files import as_path, check_exists, check_output
+from learn2assemble.motion.driver import arm_of
 from learn2assemble.motion.files import read_record
 from learn2assemble.motion.knots import usage
-from learn2assemble.motion.program import Program, arm_of, make_program
+from learn2assemble.motion.program import Program, make_program
 from learn2assemble.motion.record import BuildRecord
 from learn2assemble.motion.settings import ProgramSettings, read_settings
 from learn2assemble.registry import Registry
@@ -27,7 +28,7 @@ from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.registry import ARMS
 
 if TYPE_CHECKING:
-    from learn2assemble.simulation.cell import DryRun
+    from learn2assemble.simulation.dry_run import DryRun
 
 # ---------------------------------------------------------------- all formats
 
@@ -153,6 +154,6 @@ def replay_program(path: str | Path, arm: str) -> DryRun:
         InputError: see :func:`read_program`.
         MissingExtraError: without the extra ``robot``.
     """
-    from learn2assemble.simulation.cell import play
+    from learn2assemble.simulation.dry_run import play
 
     return play(*read_program(path, arm))

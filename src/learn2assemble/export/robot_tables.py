@@ -22,6 +22,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.files import load_json, read_bytes, write_file
 from learn2assemble.geometry.hulls import Hull, hull_of
 from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.motion.driver import driver_of, stand
 from learn2assemble.motion.knots import Knots
 from learn2assemble.motion.program import (
     Blocks,
@@ -29,9 +30,9 @@ from learn2assemble.motion.program import (
     ProgramStep,
     Supply,
     ToolState,
-    driver_of,
-    stand,
 )
+from learn2assemble.motion.record import are_objects
+from learn2assemble.motion.stud_files import studs_data, studs_from
 from learn2assemble.robot.arm import Arm, Limits, get_arm
 from learn2assemble.robot.moves import STAGES
 
@@ -77,6 +78,7 @@ def header(program: Program, arm: Arm) -> dict[str, Any]:
             "start": blocks.start,
             "end": blocks.end,
             "supply": [one._asdict() | {"time": round(one.time, 6)} for one in blocks.supply],
+            **({} if blocks.studs is None else {"studs": studs_data(blocks.studs)}),
         },
         "hands": [hand._asdict() for hand in program.hands],
         "steps": [
@@ -146,6 +148,7 @@ def read_header(data: Any, source: str, name: str) -> Header:
             supply,
             density,
             None if told.get("hull") is None else tuple(map(_hull, told["hull"])),
+            None if told.get("studs") is None else studs_from(told["studs"], count),
         )
         steps = tuple(
             ProgramStep(
@@ -160,8 +163,8 @@ def read_header(data: Any, source: str, name: str) -> Header:
             for one in data["steps"]
         )
         moved = [*(step.cells for step in steps), *(one.cells for one in supply)]
-        if any(set(cells) not in [set(one) for one in objects] for cells in moved):
-            raise InputError(f"{source}: steps", "cells that are no object", "cells of one object")
+        if not all(are_objects(cells, objects, blocks.studs) for cells in moved):
+            raise InputError(f"{source}: steps", "cells that are no object", "cells of objects")
         numbers = _array([data[key] for key in ("seconds", "stretch", "gripper_speed")], 3)
         return Header(arm, blocks, steps, *numbers.tolist())
     except (KeyError, TypeError, ValueError) as error:
@@ -228,7 +231,8 @@ def changes(program: Program) -> Iterator[tuple[ToolState, set[str]]]:
 def write_table(program: Program, arm: Arm, path: Path, more: dict[str, Any] | None = None) -> None:
     """Write a table: a header in lines that begin with ``#``, then a line per millisecond."""
     head = {**header(program, arm), "rate": RATE, **(more or {})}
-    columns = _columns(program.suction, arm)
+    fields = _tool_fields(program.suction, program.blocks)
+    columns = _columns(fields, arm)
     count = int(np.ceil(program.seconds * RATE - 1e-6)) + 1
     lines = [f"# {key}: {to_json(value)}" for key, value in {**head, "rows": count}.items()]
     lines.append(",".join(name for name, _ in columns))
@@ -237,7 +241,7 @@ def write_table(program: Program, arm: Arm, path: Path, more: dict[str, Any] | N
     with gzip.GzipFile("", "wb", 6, out, mtime=0) if packed else nullcontext(out) as file:
         file.write(("\n".join(lines) + "\n").encode())
         pattern = ",".join(form for _, form in columns).replace("%s", "%%s") + "\n"
-        blocks, fields = _block_of(program), _tool_fields(program.suction)
+        blocks = _block_of(program)
         tool = np.array([[float(getattr(s, f)) for f in fields] for s in program.states])
         for first in range(0, count, CHUNK):
             time = np.arange(first, min(first + CHUNK, count)) / RATE
@@ -258,12 +262,13 @@ def write_table(program: Program, arm: Arm, path: Path, more: dict[str, Any] | N
     write_file(path, out.getvalue(), "program")
 
 
-def _tool_fields(suction: bool) -> list[str]:
+def _tool_fields(suction: bool, blocks: Blocks) -> list[str]:
     """What a table says of the tool, a column each."""
-    return ["vacuum", "load"] if suction else ["width", "speed", "force", "load"]
+    fields = ["vacuum", "load"] if suction else ["width", "speed", "force", "load"]
+    return fields if blocks.studs is None else [*fields, "press"]
 
 
-def _columns(suction: bool, arm: Arm) -> list[tuple[str, str]]:
+def _columns(fields: list[str], arm: Arm) -> list[tuple[str, str]]:
     """Names of the columns of a table, and how their numbers are written.
 
     Digits are such that differences over a millisecond show the jerk within 0.1 rad/s^3.
@@ -271,7 +276,7 @@ def _columns(suction: bool, arm: Arm) -> list[tuple[str, str]]:
     columns = [("time", "%.3f"), ("motion", "%d"), ("step", "%d"), ("block", "%d")]
     for what, form in (("q", "%.10f"), ("dq", "%.8f"), ("ddq", "%.5f")):
         columns += [(f"{what}_{joint}", form) for joint in driver_of(arm).joints]
-    columns += [(f, "%d" if f == "vacuum" else "%.6g") for f in _tool_fields(suction)]
+    columns += [(f, "%d" if f == "vacuum" else "%.6g") for f in fields]
     return [*columns, ("stage", "%s")]
 
 
@@ -296,7 +301,8 @@ def read_table(path: Path, name: str) -> tuple[Program, Arm]:
         raise InputError(f"{source}: rate", rate, f"{RATE} lines a second")
     told = read_header(head, source, name)
     arm, suction = told.arm, told.arm.suction is not None
-    expected = [one for one, _ in _columns(suction, arm)]
+    fields = _tool_fields(suction, told.blocks)
+    expected = [one for one, _ in _columns(fields, arm)]
     if names != expected:
         wrong = next((a for a, b in zip(names, expected, strict=False) if a != b), len(names))
         raise InputError(f"{source}: columns", wrong, ", ".join(expected))
@@ -333,7 +339,7 @@ def read_table(path: Path, name: str) -> tuple[Program, Arm]:
         stage[1:].astype(np.int8),
         table[1:, 2].astype(np.int64),
         table[1:, 1].astype(np.int64),
-        _states(rows, suction),
+        _states(rows, fields),
         told.steps,
         told.blocks,
         told.stretch,
@@ -389,8 +395,7 @@ def _check_motion(knots: Knots, arm: Arm, source: str) -> None:
             fault(np.abs(found) > most * (1 + SLACK), what, found, most)
 
 
-def _states(rows: np.ndarray, suction: bool) -> tuple[ToolState, ...]:
-    fields = _tool_fields(suction)
+def _states(rows: np.ndarray, fields: list[str]) -> tuple[ToolState, ...]:
     told = np.column_stack([rows[name] for name in fields])
     new = np.flatnonzero(np.any(np.diff(told, axis=0, prepend=np.nan), axis=1))
     nothing = ToolState(0.0, 0.0, 0.0, 0.0, False, 0.0)
@@ -422,6 +427,8 @@ def write_franka(program: Program, arm: Arm, path: Path) -> None:
             # The load hangs half a block below the tool point at most; its inertia is left out.
             centre = driver.tcp[:3]
             calls.append({"time": time, "call": "setLoad", "load": state.load, "centre": centre})
+        if "press" in new:
+            calls.append({"time": time, "call": "press", "force": state.press})
         if "vacuum" in new:
             calls.append({"time": time, "call": "vacuum" if state.vacuum else "dropOff"})
         if new & {"width", "force"}:

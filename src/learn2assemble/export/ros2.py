@@ -35,8 +35,9 @@ from learn2assemble.geometry.rotations import (
     quaternion_product,
     rotate_vectors,
 )
+from learn2assemble.motion.driver import driver_of
 from learn2assemble.motion.knots import Knots, usage
-from learn2assemble.motion.program import Program, ToolState, driver_of
+from learn2assemble.motion.program import Program, ToolState
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import forward_many, get_chain
 from learn2assemble.robot.moves import STAGES
@@ -50,6 +51,7 @@ _TOPICS = {
     "/gripper/command": "control_msgs/msg/GripperCommand",
     "/suction/vacuum": "std_msgs/msg/Bool",
     "/tool/load": "std_msgs/msg/Float64",
+    "/tool/press": "std_msgs/msg/Float64",
     "/stage": "std_msgs/msg/String",
     "/check": "std_msgs/msg/String",
     "/program": "std_msgs/msg/String",
@@ -154,6 +156,8 @@ def _tool_messages(program: Program) -> Iterator[Message]:
             yield time, "/gripper/command", {"position": state.width, "max_effort": state.force}
         if "load" in new:
             yield time, "/tool/load", {"data": state.load}
+        if program.blocks.studs is not None and "press" in new:
+            yield time, "/tool/press", {"data": state.press}
 
 
 def _scene_messages(program: Program, arm: Arm) -> Iterator[Message]:
@@ -288,7 +292,8 @@ def read_bag(path: Path, name: str) -> tuple[Program, Arm]:
         from mcap_ros2.decoder import DecoderFactory
         from zstandard import ZstdError
     content, source = read_bytes(path, "bag", MOST_BYTES)
-    wanted = ["/program", "/joint_trajectory", "/gripper/command", "/suction/vacuum", "/tool/load"]
+    wanted = ["/program", "/joint_trajectory", "/gripper/command", "/suction/vacuum"]
+    wanted += ["/tool/load", "/tool/press"]
     found: dict[str, list[tuple[float, Any]]] = {topic: [] for topic in wanted}
     try:
         reader = make_reader(io.BytesIO(content), True, [DecoderFactory()])  # checks sums
@@ -370,6 +375,7 @@ def _states_from(found: dict[str, list[tuple[float, Any]]], speed: float) -> tup
         ),
         *((time, {"vacuum": bool(m.data)}) for time, m in found["/suction/vacuum"]),
         *((time, {"load": m.data}) for time, m in found["/tool/load"]),
+        *((time, {"press": m.data}) for time, m in found["/tool/press"]),
     ]
     state = ToolState(0.0, 0.0, speed, 0.0, False, 0.0)
     states = {0.0: state}

@@ -18,7 +18,8 @@ from learn2assemble.export import asset
 from learn2assemble.export.robot_tables import changes, motions
 from learn2assemble.files import write_file
 from learn2assemble.geometry.rotations import quaternion_matrix
-from learn2assemble.motion.program import Program, ProgramStep, driver_of
+from learn2assemble.motion.driver import driver_of
+from learn2assemble.motion.program import Program, ProgramStep
 from learn2assemble.motion.settings import ProgramSettings
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import forward_many, get_chain
@@ -224,6 +225,8 @@ def _told(program: Program, arm: Arm) -> Iterator[_Line]:
     for state, new in later:
         if "load" in new:
             yield _Line(state.time, _payload(program, arm, state.time, state.load))
+        if "press" in new and state.press:
+            yield _Line(state.time, f"l2a_press({state.press:.1f})")
         closed = bool(state.force) or state.vacuum
         if closed != was_closed:
             numbers = f"{state.width:.4f}, {state.speed:.3f}"

@@ -199,7 +199,7 @@ def run(
     sees = around.trust_placements or around.look is not None or around.pictures is not None
     if site.cameras and not sees and isinstance(robot, str) and not robot.startswith(SIMULATION):
         raise no_pictures(site.cameras)
-    setup = setup_of(job, workcell)._replace(around=around)
+    setup = setup_of(job, workcell, found.structure)._replace(around=around)
     progress(f"connecting to {robot}" if isinstance(robot, str) else "connecting")
     nothing = Ran(plan, Stop.END, None, 0, 0.0, Link())
     plant: Plant | None = None
@@ -251,7 +251,7 @@ def _run(
         return confirm(satisfied(), f"{action.what} {building.world.pieces[action.block].id}")
 
     def by_robot() -> int:
-        own = (step for step in known.order if step not in known.by_hand)
+        own = (s for s in known.order if s not in known.by_hand and not s.group)
         return sum(known.satisfied(step) for step in own)
 
     before, begun = by_robot(), timed.last

@@ -20,6 +20,7 @@ from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.files import read_json, write_file
 from learn2assemble.geometry.hulls import Hull, hull_of
 from learn2assemble.motion.record import ArmFacts, BuildRecord, ByHand, Samples, Stage, StepRecord
+from learn2assemble.motion.stud_files import studs_data, studs_from
 from learn2assemble.robot.moves import STAGES, Outcome
 from learn2assemble.values import integer
 
@@ -57,7 +58,9 @@ def record_data(record: BuildRecord) -> dict[str, Any]:
     for step in map(_plain, record.steps):
         samples = step.pop("samples")
         steps.append({"step": step.pop("number"), **step, **samples})
-    return {**head, **_plain(dataclasses.replace(record, steps=())), "steps": steps}
+    data = {**head, **_plain(dataclasses.replace(record, steps=(), studs=None)), "steps": steps}
+    del data["studs"]
+    return data if record.studs is None else {**data, "studs": _plain(studs_data(record.studs))}
 
 
 def record_from(data: Any) -> BuildRecord:
@@ -93,6 +96,7 @@ def record_from(data: Any) -> BuildRecord:
                 ByHand(int(after), tuple(map(int, cells)), str(name), place is True)
                 for after, cells, name, place in data["hands"]
             ),
+            None if data.get("studs") is None else studs_from(data["studs"], count),
         )
     except KeyError as error:
         raise InputError(where, f"no field {error}", f"every field of a {FORMAT} file") from None
@@ -187,6 +191,10 @@ def _plain(value: Any) -> Any:
     if dataclasses.is_dataclass(value):
         return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, dict):
+        return {name: _plain(item) for name, item in value.items()}
+    if isinstance(value, list):
         return [_plain(item) for item in value]
     if value is None or isinstance(value, str | bool | int):
         return value

@@ -12,10 +12,8 @@ between the samples, too, by the control points of the polynomials, which contai
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,17 +21,26 @@ import numpy as np
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.hulls import Hull
 from learn2assemble.geometry.rotations import (
-    matrix_quaternion,
     quaternion_matrix,
-    yaw_quaternion,
 )
 from learn2assemble.motion.knots import REST, Knots, fit, slow_down
-from learn2assemble.motion.record import ArmFacts, BuildRecord, ByHand, Samples, require_sound
-from learn2assemble.robot.arm import Arm, arm_model, get_arm
+from learn2assemble.motion.record import (
+    BuildRecord,
+    ByHand,
+    Samples,
+    StepRecord,
+    require_sound,
+)
+from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.moves import DENSITY, STAGES, Outcome
+from learn2assemble.robot.studs import GROUND, StudJoint, Studs
 
 LOAD_TIME = 0.1
-"""In which the controller takes over another load [s]: at once, the arm would jump."""
+"""In which the controller takes over another load, or a push [s]: at once, the arm would jump."""
+PRESS_TIME, PRESS_SHARE = 0.6, 1.15
+"""How long bricks are pressed home [s], and with which share of what that takes."""
+PRESSED = 0.002
+"""A brick has come to another one where it is so near to its place there [m]."""
 
 
 class ToolState(NamedTuple):
@@ -52,6 +59,8 @@ class ToolState(NamedTuple):
     """Of a suction tool."""
     load: float
     """Mass at the tool the controller is told of [kg]."""
+    press: float = 0.0
+    """With which the tool pushes down where it stands [N]."""
 
 
 class ProgramStep(NamedTuple):
@@ -106,6 +115,9 @@ class Blocks(NamedTuple):
     """float64[C] of the cells [kg/m3]; None: that of the cubes."""
     hull: tuple[Hull | None, ...] | None = None
     """Of each cell about its centre, where it is no box; None: all are boxes."""
+    studs: Studs | None = None
+    """Joints that bricks make in the structure, in cells, none of them home; None: there are
+    none."""
 
     @property
     def halves(self) -> np.ndarray:
@@ -166,70 +178,6 @@ class Program:
         """int64[m]: indices of the tool's states at times float64[m] [s]."""
         begins = np.array([state.time for state in self.states])
         return np.clip(np.searchsorted(begins, time + 1e-9, "right") - 1, 0, None)
-
-
-class Driver(NamedTuple):
-    """What the robot's own driver calls things, and where its frames are."""
-
-    joints: tuple[str, ...]
-    base_frame: str
-    base: np.ndarray
-    """float64[7]: pose of that frame: x, y, z [m, world], quaternion (w, x, y, z)."""
-    flange_frame: str
-    tcp: np.ndarray
-    """float64[7]: pose of the tool point in the frame of the flange."""
-    tool_mass: float
-    """Of all that hangs on the flange [kg]."""
-    tool_centre: np.ndarray
-    """float64[3]: its centre of mass in the frame of the flange [m]."""
-
-
-@lru_cache(maxsize=16)
-def driver_of(arm: Arm) -> Driver:
-    """Names and frames of an arm's driver: table ``driver`` of its ``arm.toml``; by default those
-    of its MJCF, with the hand as flange."""
-    import mujoco
-
-    file = arm.mjcf.parent / "arm.toml"
-    told = tomllib.loads(file.read_text(encoding="utf-8")).get("driver", {})
-    model = arm_model(arm)
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    flange = data.body(told.get("flange_body", arm.gripper.hand))
-    turn = flange.xmat.reshape(3, 3)
-    position = flange.xpos + turn @ told.get("flange_position", np.zeros(3))
-    turn = turn @ quaternion_matrix(np.array(told.get("flange_quaternion", [1.0, 0, 0, 0])))
-    tool = data.site(arm.tool)
-    tcp = turn.T @ (tool.xpos - position), matrix_quaternion(turn.T @ tool.xmat.reshape(3, 3))
-    yaw = yaw_quaternion(arm.base_yaw + told.get("base_yaw", 0.0))
-    return Driver(
-        tuple(told.get("joints", arm.joints)),
-        told.get("base_frame", "base"),
-        np.concatenate([arm.base_position, yaw]),
-        told.get("flange_frame", "flange"),
-        np.concatenate(tcp),
-        float(model.body(arm.gripper.hand).subtreemass[0]),
-        turn.T @ (data.body(arm.gripper.hand).subtree_com - position),
-    )
-
-
-def stand(name: str, tool: str, base: np.ndarray) -> Arm:
-    """An arm with its tool where it stands: x, y, z [m, world] and turn about z [rad]."""
-    arm = get_arm(name, tool)
-    if np.allclose(base, (*arm.base_position, arm.base_yaw), rtol=0, atol=1e-6):
-        return arm
-    x, y, z, yaw = base.tolist()
-    return get_arm(name, tool, (x, y, z, yaw))
-
-
-def arm_of(facts: ArmFacts) -> Arm:
-    """The arm of a record.
-
-    Raises:
-        UnknownNameError: for an arm or a tool that does not exist.
-    """
-    return stand(facts.name, facts.tool_name, np.append(facts.base_position, facts.base_yaw))
 
 
 def make_program(record: BuildRecord, arm: Arm) -> Program:
@@ -297,6 +245,7 @@ def make_program(record: BuildRecord, arm: Arm) -> Program:
             (),
             record.density,
             record.hull,
+            record.studs,
         ),
         stretch,
         record.hands,
@@ -351,8 +300,19 @@ class _Teller:
         if state == before:
             return
         self.told.append((index, wait, state))
+        takes = self.takes(state, before)
+        short = wait + takes - (self.time[end] - self.time[index]) - self.extra[index]
+        self.extra[max(end - 1, 0)] += max(short, 0.0)
+
+    def takes(self, state: ToolState, before: ToolState | None = None) -> float:
+        """How long it takes until the tool is as told [s].
+
+        Args:
+            before: as it was told last, by default.
+        """
+        before = before or self.state
         gripper, suction, takes = self.arm.gripper, self.arm.suction, 0.0
-        if state.load != before.load:
+        if (state.load, state.press) != (before.load, before.press):
             takes = LOAD_TIME
         if suction is not None and state.vacuum != before.vacuum:
             takes = suction.grip_time if state.vacuum else suction.release_time
@@ -360,8 +320,7 @@ class _Teller:
             way = abs(state.width - before.width)
             way += max(state.force, before.force) / gripper.stiffness
             takes = max(takes, way / gripper.speed)
-        short = wait + takes - (self.time[end] - self.time[index]) - self.extra[index]
-        self.extra[max(end - 1, 0)] += max(short, 0.0)
+        return takes
 
 
 def _with_tool(program: Program, record: BuildRecord, arm: Arm, samples: Samples) -> Program:
@@ -381,10 +340,17 @@ def _with_tool(program: Program, record: BuildRecord, arm: Arm, samples: Samples
         checks: list[int] = []
         if len(here):
             begin = int(here[0])
-            # The next attempt begins with an open hand, whatever came of the last one.
-            opened = 0.0 if program.suction else round(float(command[begin + 1]), 4)
-            tell(begin, begin, 0.0, width=opened, force=0.0, vacuum=False, load=0.0)
-            for start, end in _runs(here[still[here] & (stage[here] == STAGES.index("pick"))])[-1:]:
+            closings = _runs(here[still[here] & (stage[here] == STAGES.index("pick"))])[-1:]
+            # The next attempt begins with an open hand, whatever came of the last one; how far it
+            # is open is said by what it closes from, as it may open on its way.
+            reach = closings[0][0] if closings else int(here[-1])
+            opened = 0.0 if program.suction else round(float(command[reach]), 4)
+            # It opens on its way, as it did, where that takes no longer than the way.
+            takes = teller.takes(teller.state._replace(width=opened, force=0.0, vacuum=False))
+            on_its_way = takes <= program.knots.time[reach] - program.knots.time[begin]
+            until = reach if on_its_way else begin
+            tell(begin, until, 0.0, width=opened, force=0.0, vacuum=False, load=0.0)
+            for start, end in closings:
                 if program.suction:
                     on = np.flatnonzero(command[start : end + 1] > 0.5)
                     if len(on):
@@ -401,10 +367,16 @@ def _with_tool(program: Program, record: BuildRecord, arm: Arm, samples: Samples
                 over = here[stage[here] == STAGES.index("place")]
                 if step.outcome == Outcome.REACHED and len(lifted) and len(over):
                     checks = [int(lifted[-1]) + 1, int(over[0])]
+            press = _press(blocks.studs, step)
             for start, end in _runs(here[still[here] & (stage[here] == STAGES.index("release"))]):
-                wait = LOAD_TIME if teller.state.load else 0.0
-                tell(start, end, 0.0, load=0.0)
-                tell(start, end, wait, width=opened, force=0.0, vacuum=False)
+                wait = 0.0
+                if press and teller.state.load:
+                    tell(start, end, 0.0, press=press)
+                    tell(start, end, PRESS_TIME, press=0.0)
+                    wait = PRESS_TIME + LOAD_TIME
+                took = LOAD_TIME if teller.state.load else 0.0
+                tell(start, end, wait, load=0.0)
+                tell(start, end, wait + took, width=opened, force=0.0, vacuum=False)
         steps.append((step, checks, here))
     time = program.knots.time + np.concatenate([[0.0], np.cumsum(teller.extra)])
 
@@ -434,6 +406,28 @@ def _with_tool(program: Program, record: BuildRecord, arm: Arm, samples: Samples
         steps=tuple(made),
         blocks=blocks._replace(supply=tuple(_supply(record, [one.end for one in made]))),
     )
+
+
+def _press(studs: Studs | None, step: StepRecord) -> float:
+    """With which what a step brought has to be pressed home [N]; 0: it came onto no studs."""
+    if studs is None or step.outcome != Outcome.REACHED:
+        return 0.0
+    own = set(step.cells)
+    made = any(
+        (joint.upper in own) != (joint.lower in own) and _met(joint, step.after)
+        for joint in studs.joints
+    )
+    return PRESS_SHARE * studs.press if made else 0.0
+
+
+def _met(joint: StudJoint, poses: np.ndarray) -> bool:
+    """Whether the upper cell of a joint is where it shall be on the lower one.
+
+    Args:
+        poses: float64[C, 7] of all cells.
+    """
+    below = np.zeros(3) if joint.lower == GROUND else poses[joint.lower, :3]
+    return bool(np.linalg.norm(poses[joint.upper, :3] - below - joint.at) < PRESSED)
 
 
 def _meant(samples: Samples, span: slice, arm: Arm, edge: float) -> float:

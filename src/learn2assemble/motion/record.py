@@ -7,7 +7,7 @@ the build. The fields are described in ``docs/trajectory.md``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,6 +17,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.geometry.hulls import Hull
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.moves import Outcome
+from learn2assemble.robot.studs import Studs
 
 RATE = 50.0
 """Samples per second."""
@@ -88,7 +89,7 @@ class StepRecord:
     """The step of ``plan.json`` it carries out, also where it failed and was tried again; None
     where the plan has no such step (any more)."""
     cells: tuple[int, ...]
-    """Cells of the object, the grasped one first."""
+    """Cells of the object, the grasped one first; of several that are brought as one, all."""
     target: np.ndarray
     """float64[7]: pose the grasped cell shall have."""
     outcome: Outcome
@@ -170,6 +171,8 @@ class BuildRecord:
     """Of each cell about its centre, where it is no box; None: all are boxes."""
     hands: tuple[ByHand, ...] = ()
     """What was done by hand, in its order."""
+    studs: Studs | None = None
+    """Joints of studs that bricks make in the structure, in cells; None: there are none."""
 
     @property
     def num_cells(self) -> int:
@@ -261,7 +264,7 @@ def _structure(record: BuildRecord) -> Iterator[str]:
     for k, step in enumerate(record.steps, 1):
         if step.number != k:
             yield f"step {step.number}: should have number {k}"
-        if not step.cells or set(step.cells) not in own or len(set(step.cells)) < len(step.cells):
+        if not are_objects(step.cells, record.objects, record.studs):
             yield f"step {k}: cells {list(step.cells)} are no object of the build"
         truth = step.after if step.truth is None else step.truth
         for what, poses in (("before", step.before), ("after", step.after), ("truth", truth)):
@@ -276,6 +279,17 @@ def _structure(record: BuildRecord) -> Iterator[str]:
             np.isfinite(array).all() for array in (*arrays, step.before, step.after, step.target)
         ):
             yield f"step {k}: a number is not finite"
+
+
+def are_objects(
+    cells: Sequence[int], objects: Sequence[Sequence[int]], studs: Studs | None
+) -> bool:
+    """Whether cells are those of an object; where there are studs, perhaps those of several, which
+    are brought as one."""
+    own = set(cells)
+    touched = [set(one) for one in objects if own & set(one)]
+    whole = bool(own) and len(own) == len(cells) and own == set[int]().union(*touched)
+    return whole and (studs is not None or len(touched) == 1)
 
 
 def _times(record: BuildRecord) -> Iterator[str]:

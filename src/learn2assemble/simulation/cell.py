@@ -15,17 +15,14 @@ import numpy as np
 from learn2assemble.constants import FRICTION, GRAVITY
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.hulls import Hull
-from learn2assemble.geometry.rotations import cube_yaw, quaternion_matrix
 from learn2assemble.motion.plant import BlockReading, Readings, Report, Request
-from learn2assemble.motion.program import LOAD_TIME, Blocks, Program, ProgramStep
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.grasps import Attitude, facing
 from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene
 from learn2assemble.robot.scene import rotation_matrix
 from learn2assemble.robot.studs import Studs
 from learn2assemble.simulation.bench import Bench
 from learn2assemble.simulation.clutch import Clutch
-from learn2assemble.simulation.contacts import BLIND, PUSH, Rules
+from learn2assemble.simulation.contacts import BLIND
 from learn2assemble.simulation.execution import Execution, Rig, abandon
 from learn2assemble.simulation.model import (
     TIMESTEP,
@@ -41,7 +38,7 @@ from learn2assemble.simulation.model import (
 from learn2assemble.simulation.prepare import prepare, require_held, rest_pose
 from learn2assemble.simulation.rest import ShiftRule, check_rest
 from learn2assemble.simulation.simulation import SimulatedState, Simulation, Trace
-from learn2assemble.simulation.trajectory import PathSamples, load_ruckig
+from learn2assemble.simulation.trajectory import load_ruckig
 from learn2assemble.simulation.ways import WorldChecker
 
 LOADED_SPEED = 0.6
@@ -327,137 +324,3 @@ def _report(
         error=float(error),
         joints=joints,
     )
-
-
-# ---------------------------------------------------------------- dry run
-
-SAME = 0.002
-"""A structure is the same when no block is farther from where it should be [m]."""
-
-
-class DryRun(NamedTuple):
-    """What came of a program that was played without looking."""
-
-    poses: np.ndarray
-    """float64[C, 7] of all cells at the end, as in :class:`Blocks`."""
-    error: np.ndarray
-    """float64[C]: distance of each cell from where the program says it ends [m]."""
-    seconds: float
-    """How long the robot moved [s]."""
-    fault: str = ""
-    """What the arm ran into, where that ended the run."""
-
-    @property
-    def same(self) -> bool:
-        """Whether the same structure results."""
-        return not self.fault and bool(self.error.max(initial=0.0) <= SAME)
-
-
-def play(program: Program, arm: Arm) -> DryRun:
-    """Play a program open loop in the dynamic cell, from its first pose to its last.
-
-    The drives get positions, velocities, accelerations, openings or vacuum, and loads, and nothing
-    is looked at until the end; blocks go on from where the step before has left them. As in the
-    build, boxes that a step does not concern are held still; an arm that pushes against one ends
-    the run.
-
-    Raises:
-        InputError: for the program of another arm.
-        SimulationDivergedError: where the simulation left the numbers.
-    """
-    if program.arm != arm.name:
-        raise InputError("arm", arm.name, f"{program.arm}, which the program is for")
-    blocks, cell = program.blocks, DynamicCell(arm)
-    poses, supply, fault = blocks.start.copy(), list(blocks.supply), ""
-    count = math.ceil(program.seconds / TIMESTEP - 1e-9)
-    clock = np.arange(1, count + 1) * TIMESTEP
-    told, loads = _driven(program, arm, clock)
-    first = 0
-    for step in program.steps:
-        last = count if step is program.steps[-1] else round(step.end / TIMESTEP)
-        if last > first:
-            rows, scene, move = _order(blocks, poses, step)
-            objects, state, names = rigid_objects(scene, poses[rows, 3:], move)
-            names = [f"block {rows[int(name.split()[-1])]}" for name in names]
-            start = program.knots.at(np.array([first * TIMESTEP]))[0][0]
-            sim = Simulation(
-                SimulatedState(cell.world(objects), state, names),
-                arm,
-                start,
-                float(told[first]),
-                int(objects.owner[move.cell]),
-                Trace(count + 10**6),
-            )
-            span = slice(first, last)
-            motion = PathSamples(np.zeros((last - first, 3)), *program.knots.at(clock[span]))
-            watch = BLIND
-            if step.reached and len(objects.still):
-                watch = BLIND._replace(rules=Rules(PUSH, None, None))
-            try:
-                sim.run(motion, told[span], "approach", watch, loads[span])
-            except Failure as failure:
-                fault = f"step {step.number}: {failure.detail}"
-            sim.wait(round(REST_TIME / TIMESTEP), "home", BLIND._replace(until=sim.asleep))
-            position, quaternion, _ = objects.cells(sim.poses)
-            poses[rows] = np.hstack([position, quaternion])
-            if fault:
-                break
-            first = last
-        while supply and supply[0].time <= step.end + 1e-6:
-            present = supply.pop(0)
-            poses[list(present.cells)] = present.poses
-    error = np.linalg.norm(poses[:, :3] - blocks.end[:, :3], axis=1)
-    return DryRun(poses, error, program.seconds, fault)
-
-
-def _order(blocks: Blocks, poses: np.ndarray, step: ProgramStep) -> tuple[np.ndarray, Scene, Move]:
-    """The cells that are on the table, their scene, and what the step does in it."""
-    rows = np.flatnonzero(poses[:, 2] >= 0)
-    owner = np.empty(len(poses), np.int64)
-    for number, cells in enumerate(blocks.objects):
-        owner[list(cells)] = number
-    yaw = np.array([cube_yaw(quaternion_matrix(turn)) for turn in poses[rows, 3:]])
-    half, density = (
-        None if of_all is None else of_all[rows] for of_all in (blocks.half, blocks.density)
-    )
-    hull = None if blocks.hull is None else tuple(blocks.hull[k] for k in rows.tolist())
-    scene = Scene(
-        poses[rows, :3],
-        yaw,
-        owner[rows],
-        0,
-        half,
-        density,
-        None if half is None else poses[rows, 3:],
-        hull,
-    )
-    row = int(np.searchsorted(rows, step.cells[0]))
-    turn = quaternion_matrix(step.target[3:]) @ quaternion_matrix(poses[step.cells[0], 3:]).T
-    grasp = Attitude()
-    return rows, scene, Move(row, step.target[:3], grasp, facing(turn @ grasp.rotation()))
-
-
-def _driven(program: Program, arm: Arm, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What the drives are told at times float64[m]: openings of a gripper [m], which change at the
-    speed of the state and press by being too small, or whether the vacuum is on; and loads [kg]
-    that come little by little."""
-    lines: tuple[list[tuple[float, float]], ...] = ([], [])
-    for state in program.states:
-        wanted = (state.width - state.force / max(arm.gripper.stiffness, 1e-9), state.load)
-        for line, value, speed in zip(lines, wanted, (state.speed, None), strict=True):
-            if line and value == line[-1][1]:
-                continue  # told before, and perhaps still on the way there
-            past = np.array(line or [(0.0, value)])
-            now = float(np.interp(state.time, past[:, 0], past[:, 1]))
-            while line and line[-1][0] >= state.time:
-                line.pop()
-            line.append((state.time, now))
-            if value != now:
-                takes = abs(value - now) / speed if speed else LOAD_TIME
-                line.append((state.time + takes, value))
-    widths, loads = (np.array(line) for line in lines)
-    told = np.interp(time, widths[:, 0], widths[:, 1])
-    if program.suction:
-        told = np.array([state.vacuum for state in program.states], float)
-        told = told[program.states_at(time)]
-    return told, np.interp(time, loads[:, 0], loads[:, 1])

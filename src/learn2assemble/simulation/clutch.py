@@ -179,6 +179,12 @@ class Clutch:
         """Whether a joint that the move was to make is not home."""
         return any(not self.joints[n].home for n in self.wanted)
 
+    @property
+    def unmade(self) -> bool:
+        """Whether a joint is not home that the move was to make and whose brick has come to its
+        place."""
+        return any(not self.joints[n].home and self._near(n) for n in self.wanted)
+
     def join(self) -> None:
         """The target is pressed home: on every knob that it is near enough to."""
         for n in self.wanted:
