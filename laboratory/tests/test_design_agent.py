@@ -228,6 +228,28 @@ def test_an_episode_of_the_known_solution_returns_two() -> None:
     assert total == pytest.approx(2.0)
 
 
+def test_a_pool_has_so_many_problems_and_a_seed_gives_another_one() -> None:
+    def designs(seed: int) -> list[bytes]:
+        env = gymnasium.make("learn2assemble/designs-lintels-60-v0", task=LITTLE, pool=3).unwrapped
+        found = []
+        for k in range(14):
+            env.reset(seed=seed if k == 0 else None)
+            wanted = env.world.site.wanted
+            assert not env.world.placed
+            assert env.world.open == wanted.sum()
+            found.append(wanted.tobytes() + bytes(wanted.shape))
+            env.step(0)
+        return found
+
+    first = designs(5)
+    assert len(set(first)) == 3
+    assert designs(5) == first
+    assert not set(designs(6)) & set(first)
+    for none in (0, 2.5):
+        with pytest.raises(InputError, match="pool: got"):
+            gymnasium.make("learn2assemble/designs-lintels-60-v0", pool=none)
+
+
 def test_presets_of_designs() -> None:
     for name, task in DESIGN_TASKS.items():
         assert task.name == name

@@ -12,7 +12,7 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, is_whole
 from learn2assemble.planning.goals.search import Search
 from learn2assemble.planning.goals.world import GoalProblem, bears, legal, make_problem, put, relax
 from learn2assemble.planning.tiling.world import LatticeWorld
@@ -148,16 +148,47 @@ class DesignEnv(_CandidateEnv):
 
     Args:
         task: of :data:`learn2assemble.tasks.task.DESIGN_TASKS`, by name or as such.
+        pool: problems that episodes are drawn from, each made when it first comes; None makes a new
+            one for every episode. Finding a known solution takes as long as hundreds of steps, so
+            training is many times faster with a pool, and sees no more than these problems. A seed
+            of ``reset`` begins a new pool.
+
+    Raises:
+        InputError: for a pool of none.
     """
 
-    def __init__(self, task: DesignTask | str, render_mode: str | None = None) -> None:
+    def __init__(
+        self, task: DesignTask | str, render_mode: str | None = None, pool: int | None = None
+    ) -> None:
+        if pool is not None and not is_whole(pool, 1):
+            raise InputError("pool", pool, "a whole number of at least 1")
         self.task: DesignTask = DESIGN_TASKS[task] if isinstance(task, str) else task
         super().__init__(self.task.max_candidates, design_features, render_mode)
         self.solved: Solved | None = None
         """The design with the solution that was found for it."""
+        self._size, self._pool = pool, dict[int, Solved]()
+        self._first: int | None = None
+        """Seed of the pool."""
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Begin anew; ``seed`` restarts the random numbers. There are no options."""
+        if seed is not None:
+            self._first = None
+        return super().reset(seed=seed, options=options)
 
     def _draw(self) -> LatticeWorld:
-        self.solved = make_design(self.task, self.np_random)
+        if self._size is None:
+            self.solved = make_design(self.task, self.np_random)
+            return LatticeWorld(self.solved.site)
+        if self._first is None:
+            self._first, self._pool = int(self.np_random.integers(2**62)), {}
+        number = int(self.np_random.integers(self._size))
+        if number not in self._pool:
+            own = np.random.default_rng([self._first, number])
+            self._pool[number] = make_design(self.task, own)
+        self.solved = self._pool[number]
         return LatticeWorld(self.solved.site)
 
     def _put(self, world: LatticeWorld, candidate: int) -> tuple[bool, float]:

@@ -4,6 +4,7 @@ summary of the whole."""
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from learn2assemble.planning.goals.world import GoalProblem, Relaxed, unmet
 from learn2assemble.planning.tiling.world import LatticeWorld
@@ -28,14 +29,13 @@ def describe(
         ballast: float64[m]: how well each lies where weight is asked for.
     """
     site, found, shape = problem.site, problem.site.found, problem.goals.shape
-    ways = np.array([np.max(way.cells, axis=0) + 1 for way in found.ways])
-    extent = ways[found.way[children]]
+    extent = found.extents[found.way[children]]
     origin, size = found.origin[children], found.size()[children]
     part = found.take(children)
     row = np.repeat(np.arange(len(children)), size)
     planned = np.zeros(site.wanted.size, bool)
     used = np.flatnonzero(relaxed.used)
-    planned[np.concatenate([site.cells(int(k)) for k in used] or [np.empty(0, np.int64)])] = True
+    planned[found.take(used).cell] = True
     above = np.append(planned[1:], False)
     above[shape[2] - 1 :: shape[2]] = False
     goals = unmet(problem, world)
@@ -120,15 +120,37 @@ def _levers(
     tip = press - middle
     length = np.linalg.norm(tip, axis=1)
     relative = (np.abs(tip) / np.maximum(half, 0.25)).max(1)
-    bed = problem.bed[problem.bed_start[children]]
-    for n, k in enumerate(children):
-        bed = problem.bed[problem.bed_start[k] : problem.bed_start[k + 1]]
-        bed = bed[bed % problem.goals.shape[2] > 0]
-        below = np.unique(world.owner[bed - 1]) if len(bed) else bed
-        below = below[below >= 0]
-        if len(below):
-            base = below[relative[below].argmax()]
-            lean[n] = min(relative[base], 1.0)
-            if length[base] > 1e-6:
-                lever[n] = (centre[n] - middle[base]) @ tip[base] / length[base] / _FAR
+    _lean(
+        children,
+        problem.bed_start,
+        problem.bed,
+        world.owner,
+        problem.goals.shape[2],
+        (relative, length, middle, tip),
+        centre,
+        (lean, lever),
+    )
     return lean, lever
+
+
+@njit(cache=True)
+def _lean(children, bed_start, bed, owner, levels, blocks, centre, out):
+    relative, length, middle, tip = blocks
+    lean, lever = out
+    for n in range(len(children)):
+        base = -1
+        for j in range(bed_start[children[n]], bed_start[children[n] + 1]):
+            below = owner[bed[j] - 1] if bed[j] % levels > 0 else -1
+            if below < 0:
+                continue
+            # Of several that lean as much, the first one placed.
+            more = base < 0 or relative[below] > relative[base]
+            if more or (relative[below] == relative[base] and below < base):
+                base = below
+        if base < 0:
+            continue
+        lean[n] = min(relative[base], 1.0)
+        if length[base] > 1e-6:
+            out_x, out_y = centre[n, 0] - middle[base, 0], centre[n, 1] - middle[base, 1]
+            along = out_x * tip[base, 0] + out_y * tip[base, 1]
+            lever[n] = along / length[base] / _FAR

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -76,6 +76,11 @@ class Candidates:
     def kind(self) -> np.ndarray:
         """int64[n]: index into the kinds of the kit."""
         return np.array([way.kind for way in self.ways], np.int64)[self.way]
+
+    @cached_property
+    def extents(self) -> np.ndarray:
+        """int64[ways, 3]: cells along x, y and z of each way."""
+        return np.array([np.max(way.cells, axis=0) + 1 for way in self.ways])
 
     def size(self) -> np.ndarray:
         """int64[n]: cells of every candidate."""

@@ -283,9 +283,7 @@ class LatticeWorld:
     def _run_out(self, kind: int) -> None:
         gone = np.flatnonzero(self.alive & (self.site.kind == kind))
         self.alive[gone] = False
-        found = self.site.found
-        for candidate in gone:
-            self.cover[found.cell[found.start[candidate] : found.start[candidate + 1]]] -= 1
+        self.cover -= np.bincount(self.site.found.take(gone).cell, minlength=len(self.cover))
 
     def _prove(self, candidate: int, program: bool) -> Proof | None:
         proof = self._grown(candidate)
