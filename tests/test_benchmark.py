@@ -19,6 +19,7 @@ from learn2assemble.cli import main
 from learn2assemble.envs import suite
 from learn2assemble.envs.policies import Lookahead, RandomChoice, RemoteChoice, load_policy
 from learn2assemble.envs.submission import (
+    PlayedProblem,
     Submission,
     _digest,
     _line,
@@ -41,6 +42,7 @@ from scripts import ROOT, run_script
 
 OUTSIDERS = ROOT / "examples" / "benchmark"
 SMALL, ROBOT = "two-sided-3x3-20-24", "robot-two-sided-3x3-10-14"
+HIDDEN = "hidden-designs-20"
 FEW = [SMALL, "goals-cantilever"]
 PINNED = (4, 2, 0.3259584392866976, 0.04481160998406684)
 """Actions and scores of the first two problems of :data:`SMALL`, played at random."""
@@ -84,8 +86,8 @@ def test_every_task_is_played_within_its_bound(name: str) -> None:
 
 
 def test_a_change_of_the_suite_is_a_new_version(entry: Submission) -> None:
-    """What version 2 means: tasks, problems and scores. Where this fails raise the version."""
-    assert SUITE_VERSION == 2
+    """What version 3 means: tasks, problems and scores. Where this fails raise the version."""
+    assert SUITE_VERSION == 3
     first, second = (entry.played[k] for k in (-2, -1))
     assert (first.task, len(first.actions), len(second.actions)) == (SMALL, *PINNED[:2])
     assert [first.score, second.score] == pytest.approx(PINNED[2:], abs=1e-9)
@@ -216,12 +218,31 @@ def test_the_board_has_the_best_first() -> None:
     entry = enter(RandomChoice(), "random", tasks=[SMALL], problems=2)
     other = enter(Lookahead(), "look-ahead", tasks=[SMALL], problems=2)
     rows = board([entry, other]).splitlines()
-    assert rows[0].startswith("| entry | knows | `two-sided-3x3-20-24` | ")
-    assert rows[0].count("|") == 10
-    assert rows[2].startswith("| look-ahead | model | ")
-    assert rows[2].endswith(" (2) | – | – | – | – | – | – |")
-    assert rows[3].startswith("| random | observation | ")
-    assert f"{entry.scores(SMALL).mean():.3f} ±" in rows[3]
+    assert rows[0] == "**Placements**"
+    assert rows[2].startswith("| entry | knows | `two-sided-3x3-20-24` | ")
+    assert rows[2].count("|") == 6
+    assert rows[4].startswith("| look-ahead | model | ")
+    assert rows[4].endswith(" (2) | – | – |")
+    assert rows[5].startswith("| random | observation | ")
+    assert f"{entry.scores(SMALL).mean():.3f} ±" in rows[5]
+    assert len(rows) == 6  # Nobody played another kind of task.
+
+
+def test_the_board_has_a_table_for_each_kind_of_task() -> None:
+    played = [
+        PlayedProblem(task, number, (), score, score == 1)
+        for task in ("goals-bridge", HIDDEN)
+        for number, score in enumerate((1.0,) if task != HIDDEN else (1.0, 0.5))
+    ]
+    text = board([Submission("x", "model", SUITE_VERSION, tuple(played))])
+    assert [line for line in text.splitlines() if line.startswith("**")] == [
+        "**Hidden errors**",
+        "**Goals**",
+    ]
+    assert f"| entry | knows | `{HIDDEN}` | completed |" in text
+    assert "| x | model | 0.750 ± 0.490 (2) | 1 of 2 |" in text
+    heads = [line for line in text.splitlines() if line.startswith("| entry")]
+    assert all(head.count("|") <= 9 for head in heads)
 
 
 def test_the_board_of_the_documents_is_that_of_its_files() -> None:

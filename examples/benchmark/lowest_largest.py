@@ -11,6 +11,15 @@ import numpy as np
 
 def choose(observation, info):
     """Number of an action."""
+    if "blocks" in observation:
+        # Given blocks, numbered from below; the first action behind theirs is to be done.
+        count = len(observation["blocks"])
+        offered = np.flatnonzero(info["action_masks"][:count])
+        if not len(offered):
+            return count
+        height = observation["blocks"][offered, 2].round(3)
+        size = observation["blocks"][offered, 3:5].prod(1)
+        return int(offered[np.lexsort((-size, height))[0]])
     if "placements" not in observation:
         # Candidates of a design are offered lowest first; the first feature is their size.
         offered = np.flatnonzero(info["action_masks"])

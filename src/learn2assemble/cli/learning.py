@@ -209,7 +209,11 @@ def _bench(options: argparse.Namespace, output: Output) -> None:
     "l2a benchmark check results/benchmark/random.jsonl.gz",
     arg("action", choices=("run", "check", "board"), help="run writes one file; the others read"),
     arg("files", nargs="+", type=named, metavar="FILE", help="NAME.jsonl.gz"),
-    arg("--policy", default=None, help="random, look-ahead, shipped, module:name or file.py:name"),
+    arg(
+        "--policy",
+        default=None,
+        help="random, look-ahead, exact-planner, shipped, module:name or file.py:name",
+    ),
     arg("--server", default=None, metavar="HOST:PORT", help="a policy in another process"),
     arg("--name", default=None, help="of the entry (the policy's)"),
     arg("--task", dest="tasks", action="append", help="of the suite, may be repeated (all)"),

@@ -15,7 +15,7 @@ from typing import Any
 
 from learn2assemble.errors import extra
 from learn2assemble.registry import Registry
-from learn2assemble.tasks.task import DESIGN_TASKS, GOAL_TASKS, PRESETS, get_task
+from learn2assemble.tasks.task import DESIGN_TASKS, GOAL_TASKS, HIDDEN_TASKS, PRESETS, get_task
 
 with extra("gymnasium", "learn"):
     import gymnasium
@@ -34,7 +34,7 @@ def env_id(task_name: str) -> str:
     Raises:
         UnknownNameError: naming the nearest task.
     """
-    known = task_name in DESIGN_TASKS or task_name in GOAL_TASKS
+    known = any(task_name in tasks for tasks in (DESIGN_TASKS, GOAL_TASKS, HIDDEN_TASKS))
     name = task_name if known else get_task(task_name).name
     return f"{NAMESPACE}/{name}-v{VERSION}"
 
@@ -69,6 +69,7 @@ _ENVIRONMENTS: tuple[tuple[Registry[Any], dict[str, Any]], ...] = (
     ),
     (DESIGN_TASKS, {"entry_point": "learn2assemble.envs.designs:DesignEnv"}),
     (GOAL_TASKS, {"entry_point": "learn2assemble.envs.designs:GoalsEnv"}),
+    (HIDDEN_TASKS, {"entry_point": "learn2assemble.envs.hidden:HiddenEnv"}),
 )
 """Which environment plays the tasks of each table."""
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from learn2assemble.constants import EDGE, HALF
@@ -73,14 +75,16 @@ def draw_image(state: State, row: int, depths: DepthFilter = NARROW) -> np.ndarr
     image = np.empty((*mask.shape, 3), np.uint8)
     image[:] = COLOURS["background"]
     image[covered] = COLOURS["outside"]
-    image[:, _ground(depths)] = COLOURS["ground"]
+    image[:, ground_pixels(depths)] = COLOURS["ground"]
     image[mask] = COLOURS["target"]
     image[mask & occluded] = COLOURS["hidden"]
     image[mask & covered & ~occluded] = COLOURS["filled"]
     return np.concatenate(image, 1).repeat(SCALE, 0).repeat(SCALE, 1)
 
 
-def _ground(depths: DepthFilter) -> np.ndarray:
+@lru_cache
+def ground_pixels(depths: DepthFilter) -> np.ndarray:
+    """bool[100, 100]: what an elevation without blocks shows of the ground."""
     covered = np.zeros((ROWS, WORDS), np.uint64)
     clear_to_ground(covered, np.zeros_like(covered), depths)
     return to_pixels(covered)

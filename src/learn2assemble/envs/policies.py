@@ -22,6 +22,12 @@ import numpy as np
 
 from learn2assemble.envs.assembly import AssemblyEnv
 from learn2assemble.envs.designs import DesignEnv
+from learn2assemble.envs.hidden import HiddenEnv
+from learn2assemble.envs.hidden_policies import (
+    HiddenLookahead,
+    PlannerWithoutLooks,
+    RepairingPlanner,
+)
 from learn2assemble.envs.suite import SECONDS, Choose
 from learn2assemble.errors import InputError, check_name
 from learn2assemble.planning.tiling.exact import plan_exact
@@ -147,16 +153,19 @@ class ExactPlanner(OnDesigns):
 
 class Lookahead:
     """The exact one-step look-ahead: of placements, see :mod:`learn2assemble.tasks.world_model`,
-    or of candidates of a design."""
+    of candidates of a design, or of given blocks."""
 
     knows = "model"
 
     def begin(self, env: gymnasium.Env[Any, Any]) -> None:
         """A new problem."""
-        on_states = OnStates(lookahead_actions, "model")
-        self.choose: DesignLookahead | OnStates = (
-            DesignLookahead() if isinstance(env, DesignEnv) else on_states
-        )
+        self.choose: DesignLookahead | HiddenLookahead | OnStates
+        if isinstance(env, HiddenEnv):
+            self.choose = HiddenLookahead()
+        elif isinstance(env, DesignEnv):
+            self.choose = DesignLookahead()
+        else:
+            self.choose = OnStates(lookahead_actions, "model")
         self.choose.begin(env)
 
     def __call__(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> int:
@@ -180,6 +189,8 @@ BASELINES: dict[str, Callable[[], Choose]] = {
     "random": RandomChoice,
     "look-ahead": Lookahead,
     "exact-planner": ExactPlanner,
+    "planner-with-repair": RepairingPlanner,
+    "planner-without-looks": PlannerWithoutLooks,
     "shipped": shipped_agent,
 }
 """Policies that come with the package, by name."""

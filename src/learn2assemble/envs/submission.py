@@ -21,7 +21,7 @@ import numpy as np
 from learn2assemble.envs.suite import SUITE, SUITE_VERSION, Choose, Played, SuiteTask
 from learn2assemble.errors import InputError, check_arguments, check_fields, is_whole
 from learn2assemble.files import printable, read_json_lines, write_file
-from learn2assemble.tasks.task import GOAL_TASKS
+from learn2assemble.tasks.task import DESIGN_TASKS, GOAL_TASKS, HIDDEN_TASKS
 from learn2assemble.values import from_plain, to_plain
 
 FORMAT = "learn2assemble-benchmark"
@@ -208,24 +208,46 @@ def summary(entry: Submission) -> dict[str, Any]:
     }
 
 
+def _kind(task: str) -> str:
+    kinds = {"designs": DESIGN_TASKS, "hidden errors": HIDDEN_TASKS, "goals": GOAL_TASKS}
+    return next((kind for kind, tasks in kinds.items() if task in tasks), "placements")
+
+
 def board(entries: Sequence[Submission]) -> str:
-    """The entries as a Markdown table, the best mean over all tasks first.
+    """The entries as Markdown, a table for every kind of task that was played, the best mean over
+    its tasks first.
 
     A cell is the mean share of the bound with half its 95 % interval and the number of problems,
-    those of goals together; a task that was left out counts nothing.
+    those of goals together; a task that was left out counts nothing. Where errors are hidden, the
+    share of the problems that were completed is told, too.
     """
-    columns: dict[str, list[str]] = {}
+    kinds: dict[str, dict[str, list[str]]] = {}
     for task in SUITE:
         column = "goals-*" if task in GOAL_TASKS else task
-        columns.setdefault(column, []).append(task)
+        kinds.setdefault(_kind(task), {}).setdefault(column, []).append(task)
+    found = ((kind, _table(entries, kind, columns)) for kind, columns in kinds.items())
+    return "\n".join(f"**{kind.capitalize()}**\n\n{table}" for kind, table in found if table)
+
+
+def _table(entries: Sequence[Submission], kind: str, columns: dict[str, list[str]]) -> str:
+    """The entries that played tasks of a kind; empty where none did."""
+    completes = kind == "hidden errors"
     rows: list[tuple[float, str, str]] = []
     for entry in entries:
         scores = [np.concatenate([entry.scores(t) for t in tasks]) for tasks in columns.values()]
-        cells = " | ".join(map(_cell, scores))
-        total = sum(float(found.mean()) for found in scores if len(found))
-        rows.append((-total, entry.entry, f"| {entry.entry} | {entry.knows} | {cells} |"))
-    head = "| entry | knows | " + " | ".join(f"`{name}`" for name in columns) + " |"
-    rule = "|---" * (len(columns) + 2) + "|"
+        if not any(map(len, scores)):
+            continue
+        cells = list(map(_cell, scores))
+        if completes:
+            done = [one.success for one in entry.played if _kind(one.task) == kind]
+            cells.append(f"{sum(done)} of {len(done)}")
+        total = sum(float(one.mean()) for one in scores if len(one))
+        line = " | ".join([entry.entry, entry.knows, *cells])
+        rows.append((-total, entry.entry, f"| {line} |"))
+    if not rows:
+        return ""
+    names = ["entry", "knows", *(f"`{name}`" for name in columns), *["completed"] * completes]
+    head, rule = f"| {' | '.join(names)} |", "|---" * len(names) + "|"
     return "\n".join([head, rule, *(row for *_, row in sorted(rows))]) + "\n"
 
 

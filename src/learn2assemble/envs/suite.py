@@ -17,20 +17,26 @@ import numpy as np
 
 from learn2assemble.envs.assembly import AssemblyEnv
 from learn2assemble.envs.designs import BLOCK_COST, DesignEnv
-from learn2assemble.errors import InputError, is_whole, look_up
+from learn2assemble.envs.hidden import HiddenEnv
+from learn2assemble.envs.pictures import pictures_of
+from learn2assemble.errors import InputError, UnknownNameError, is_whole, look_up
 from learn2assemble.tasks.evaluation.bounds import quick_bound
 from learn2assemble.tasks.evaluation.episodes import EVALUATION_STREAM
-from learn2assemble.tasks.task import DESIGN_TASKS, GOAL_TASKS
+from learn2assemble.tasks.task import PRESETS
 
-SUITE_VERSION = 2
+SUITE_VERSION = 3
 """Raised with every change of tasks, problems, rules or scores: entries of two do not compare."""
+PROBLEM_VERSION = 2
+"""Version of the suite since which problems of the same number are the same."""
 SECONDS, MOST_ACTIONS = 60.0, 2000
 """Budget of a problem: time a policy may think [s, wall clock], and actions. Beyond either it is
 asked no more, and what has been built counts."""
 Choose = Callable[[Mapping[str, Any], Mapping[str, Any]], int]
 """A policy: an observation and what ``info`` says, to the number of an action. One that has a
 method ``begin(env)`` is given the environment of every problem, to look ahead in copies of it; it
-knows the model then, unless its attribute ``knows`` says ``"observation"``."""
+knows the model then, unless its attribute ``knows`` says ``"observation"``. Where something is
+hidden, the environment that it is given has other hidden numbers. One whose attribute
+``observations`` says ``"picture"`` sees what :mod:`learn2assemble.envs.pictures` shows."""
 SUITE: dict[str, int] = {
     "two-sided-3x3-20-24": 50,
     "two-sided-5x5-40-44": 50,
@@ -38,11 +44,15 @@ SUITE: dict[str, int] = {
     "designs-lintels-60-held-out": 20,
     "designs-lintels-60-heap-held-out": 20,
     "designs-lintels-400-heap-held-out": 20,
+    "hidden-designs-20": 20,
     "goals-bridge": 1,
     "goals-cantilever": 1,
     "goals-table": 1,
 }
 """How many problems each task has; the goals are fixed."""
+
+
+_OBSERVATIONS = ("state", "picture")
 
 
 class Played(NamedTuple):
@@ -70,8 +80,7 @@ class SuiteTask:
         """Its environment."""
         from learn2assemble.envs import env_id
 
-        compact = self.name not in DESIGN_TASKS and self.name not in GOAL_TASKS
-        how: dict[str, Any] = {"actions": "placements"} if compact else {}
+        how: dict[str, Any] = {"actions": "placements"} if self.name in PRESETS else {}
         return gymnasium.make(env_id(self.name), **how).unwrapped
 
     def seed(self, problem: int) -> int:
@@ -82,27 +91,29 @@ class SuiteTask:
         """
         if not is_whole(problem, 0, SUITE[self.name] - 1):
             raise InputError("problem", problem, f"0 to {SUITE[self.name] - 1} of {self.name}")
-        words = np.random.SeedSequence([EVALUATION_STREAM, SUITE_VERSION, problem])
+        words = np.random.SeedSequence([EVALUATION_STREAM, PROBLEM_VERSION, problem])
         return int(words.generate_state(1, np.uint64)[0])
 
     def play(self, env: gymnasium.Env[Any, Any], problem: int, policy: Choose) -> Played:
         """Play one problem.
 
         Raises:
-            InputError: for an action outside the action space.
+            InputError: for an action outside the action space, and where there are no pictures.
+            UnknownNameError: for observations that are none.
         """
         observation, info = env.reset(seed=self.seed(problem))
+        pictures = pictures_of(env) if _wants_pictures(policy) else None
         most, discount = _terms(env)
         actions: list[int] = []
         total, factor, thought, ended = 0.0, 1.0, 0.0, False
         if (begin := getattr(policy, "begin", None)) is not None:
             started = time.perf_counter()
-            begin(env)
+            begin(env.imagined() if isinstance(env, HiddenEnv) else env)
             thought = time.perf_counter() - started
         while not ended and thought < SECONDS and len(actions) < MOST_ACTIONS:
             started = time.perf_counter()
             try:
-                action = policy(observation, info)
+                action = policy(observation if pictures is None else pictures.observe(), info)
             except StopIteration:  # A recording that ends here.
                 break
             thought += time.perf_counter() - started
@@ -115,9 +126,19 @@ class SuiteTask:
         return Played(actions, total / most, bool(info.get("success", False)))
 
 
+def _wants_pictures(policy: Choose) -> bool:
+    """Whether a policy sees pictures in place of states."""
+    wanted = getattr(policy, "observations", "state")
+    if wanted not in _OBSERVATIONS:
+        raise UnknownNameError("observations of the policy", wanted, _OBSERVATIONS)
+    return wanted == "picture"
+
+
 def _terms(env: gymnasium.Env[Any, Any]) -> tuple[float, float]:
     """The bound of the return of a fresh problem, and the discount of returns."""
     if isinstance(env, AssemblyEnv):
         return float(quick_bound(env.task, env.state)[0]), env.task.discount
+    if isinstance(env, HiddenEnv):
+        return 1.0, 1.0
     # The share that is filled, and the end; a structure for goals has one block at least.
     return (2.0 if isinstance(env, DesignEnv) else 2.0 - BLOCK_COST), 1.0

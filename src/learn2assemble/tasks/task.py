@@ -392,6 +392,40 @@ GOAL_TASKS: Registry[GoalTask] = Registry(
 """Tasks of goals by name."""
 
 
+@dataclass(frozen=True)
+class HiddenTask:
+    """Random designs of given blocks that are put down with hidden errors, see
+    :mod:`learn2assemble.tasks.hidden_world`.
+
+    Args:
+        name: how presets and results refer to it.
+        families: of designs; all of them without any.
+        kit: of blocks, all of them boxes.
+        blocks: fewest and most blocks of a design.
+        factor: that scales all hidden errors.
+        moves: placements, takings and looks that there are time for: so many for each block, and
+            so many more.
+    """
+
+    name: str
+    families: tuple[str, ...] = ()
+    kit: str = "bricks-lintels"
+    blocks: tuple[int, int] = (8, 20)
+    factor: float = 1.4
+    moves: tuple[float, int] = (2.0, 8)
+
+    def __post_init__(self) -> None:
+        check_fields(self, ("factor", is_number(self.factor, 0.0, 10.0), "a number from 0 to 10"))
+
+
+HIDDEN_TASKS: Registry[HiddenTask] = Registry(
+    "task with hidden errors",
+    {"hidden-designs-20": {}},
+    lambda name, given: HiddenTask(name, **given),
+)
+"""Tasks of designs with hidden errors by name."""
+
+
 def register_task(task: Task, *, replace: bool = False) -> Task:
     """Make a task known by its name: to training, evaluation, the command line and Gymnasium.
 
