@@ -313,6 +313,16 @@ def _summary(plan: Plan) -> dict[str, Any]:
     }
 
 
+def _hands_of(plan: Plan) -> list[str]:
+    """What a plan asks of hands beside placing blocks from above, in words."""
+    counts = {
+        "hold": sum(step.action == "hold" for step in plan.steps),
+        "place from below": sum(step.way == "below" for step in plan.steps),
+        "build beside": sum(step.way == "beside" for step in plan.steps),
+    }
+    return [f"{words} {count}x" for words, count in counts.items() if count]
+
+
 def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
     """Blocks by kind, then what was filled and what is proven."""
     counts = Counter(
@@ -322,6 +332,8 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
     output.table(plan.design.name, ("block", "", "number"), rows)
     number = f"{plan.blocks.used} blocks, {len(plan.steps)} steps"
     output.say(f"{plan.status}: {number}, {plan.planner} planner, {plan.seconds:.1f} s")
+    if helped := _hands_of(plan):
+        output.say(f"hands: {', '.join(helped)}")
     for stage in plan.search.attempts if plan.search else ():
         output.say(f"{stage.stage}: {stage.result}")
     if plan.design.note:

@@ -85,7 +85,8 @@ def plan_brick_cells(
     tiler = _Tiler(wanted, kit, np.random.default_rng(seed))
     tiler.fill(clock)
     tiler.join(clock)
-    progress(f"{len(tiler.bricks)} bricks in {tiler.pieces()} pieces")
+    pieces = tiler.pieces()
+    progress(f"{len(tiler.bricks)} bricks in {'one piece' if pieces == 1 else f'{pieces} pieces'}")
     assembly, found = _standing(tiler, design, kit, clock)
     planned = time.perf_counter() - started
     plan = plan_bricks(assembly, help_, clock, progress, found)
