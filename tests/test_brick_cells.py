@@ -93,6 +93,7 @@ def test_cells_that_reach_nothing_are_refused() -> None:
     plan = l2a.build(wanted, kit="lego", seconds=3)
     assert plan.status == "refused"
     assert "however strong their joints" in (plan.reason or "")
+    assert "of the bricks hang together with nothing that stands" in (plan.reason or "")
 
 
 def test_colours_are_those_of_most_cells() -> None:

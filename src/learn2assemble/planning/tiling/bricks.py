@@ -94,6 +94,13 @@ def plan_brick_cells(
         hands = Supports(holds=max(help_.holds, 1), hands=True)
         more = plan_bricks(assembly, hands, clock, progress, found)
         plan = more if more.complete else plan
+    if loose := tiler.loose():
+        lost = (
+            f"{loose} of the bricks hang together with nothing that stands: their cells have too "
+            "few others right over or under them; another width of the cells, or thicker walls, "
+            "may help"
+        )
+        plan = replace(plan, reason=f"{plan.reason}; {lost}")
     x, y, z = design.wanted.shape
     cell = tuple(round(float(edge), 9) for edge in design.cell)
     told = replace(
@@ -129,13 +136,15 @@ def _standing(
     whether it stands."""
     best = tiler.assembly(design, kit)
     found = stands_by_joints(best)
+    if tiler.loose():
+        return best, found
     share = found.need.share
     limit = clock.left * (1 - _SHARE)
     for _ in range(_REPAIRS):
         if found.need.stands or clock.left < limit:
             break
         moving = found.balance.holding().moving
-        kept = tiler.bricks.copy(), tiler.owner.copy()
+        kept = tiler.saved()
         names = list(tiler.bricks)
         tiler.again([names[k] for k in moving])
         tiler.join(clock)
@@ -144,7 +153,7 @@ def _standing(
         if new.need.share <= share:
             best, found, share = made, new, new.need.share
         else:
-            tiler.bricks, tiler.owner = kept
+            tiler.restore(kept)
     return best, found
 
 
@@ -409,13 +418,27 @@ class _Tiler:
                 self.rng.random() < 0.01
             ):
                 return
-            kept = self.bricks.copy(), self.owner.copy()
+            kept = self.saved()
             self.again([loose[int(self.rng.integers(len(loose)))]])
             now = self.labels()
             if now[0] <= count:
                 count, label, largest = now
             else:
-                self.bricks, self.owner = kept
+                self.restore(kept)
+
+    def loose(self) -> int:
+        """How many bricks are in pieces that do not stand on the ground."""
+        _, label, _ = self.labels()
+        standing = {piece for piece in set(label.values()) if self._grounded(label, piece)}
+        return sum(piece not in standing for piece in label.values())
+
+    def saved(self) -> tuple[dict[int, _Placed], np.ndarray, np.ndarray]:
+        """What :meth:`restore` brings back."""
+        return self.bricks.copy(), self.owner.copy(), self._ways.copy()
+
+    def restore(self, saved: tuple[dict[int, _Placed], np.ndarray, np.ndarray]) -> None:
+        """Be as when that was saved."""
+        self.bricks, self.owner, self._ways = saved
 
     def _grounded(self, label: dict[int, int], piece: int) -> bool:
         return any(
