@@ -209,11 +209,21 @@ def _with_supports(assembly: Assembly, supports: Collection[str]) -> Assembly:
     return replace(assembly, blocks=tuple(blocks))
 
 
-def _read_folder(path: Path, source: str, unit: float, up: Literal["y", "z"] | None) -> Assembly:
+def meshes_in(path: Path, source: str) -> list[Path]:
+    """The meshes in a folder that has no plan.
+
+    Raises:
+        InputError: where there are none.
+    """
     files = sorted(p for p in path.iterdir() if p.suffix.lower() in MESH_SUFFIXES)
     if not files:
         expected = f"{NAME} or {' '.join(MESH_SUFFIXES)}"
         raise InputError(source, "a folder without a plan or meshes", expected)
+    return files
+
+
+def _read_folder(path: Path, source: str, unit: float, up: Literal["y", "z"] | None) -> Assembly:
+    files = meshes_in(path, source)
     check_count(len(files), source)
     blocks: list[Block] = []
     left = MAX_BYTES

@@ -10,6 +10,7 @@ from typing import Any
 
 from learn2assemble.assembly.blocks import check_count
 from learn2assemble.assembly.bricks.files import is_of_bricks
+from learn2assemble.assembly.files import NAME, meshes_in
 from learn2assemble.design.reading import FOLDER
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.files import (
@@ -62,6 +63,8 @@ def open_design(path: str | Path, names: Collection[str] = ()) -> DesignFile:
     if names and alone and not (path.exists() or nearest(path)):
         raise UnknownNameError("design", str(path), names)
     if path.is_dir():
+        if not (path / NAME).is_file():
+            meshes_in(path, printable(str(path)))
         return DesignFile(path.name, printable(str(path)), FOLDER, b"", folder=path)
     content, source = read_bytes(path, "design file", MAX_FILE)
     kind, document = kind_of(content, source), None
