@@ -327,7 +327,7 @@ _ALL = (
         "T3",
         "Four sides with a robot (main Table 3)",
         _columns("robot-four-sided", "3x3-10-18", "3x3-16-24"),
-        _robot_rows("robot-four-sided", "relational-four-sided"),
+        _robot_rows("robot-four-sided", "relational-four-sided", "robot-four-sided-paper"),
         {"source_table": "main_T3"},
         FIDELITIES,
         notes=(*_SEARCHES, *_SCHEDULES),
