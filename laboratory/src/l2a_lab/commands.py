@@ -449,6 +449,12 @@ _COMMANDS = {
         "measure the exact planner and the check on shapes and drawings",
         "l2a-lab measure-designs --only shape/ --workers 2",
     ),
+    "measure-hidden": _figures(
+        "hidden",
+        "planners under hidden errors",
+        "measure who gets through hidden errors, by the factor that scales them",
+        "l2a-lab measure-hidden --only 1.4/",
+    ),
     "measure-sensing": _figures(
         "sensing",
         "figures of what cameras tell",

@@ -136,10 +136,15 @@ class RepairingPlanner(OnHidden):
         waiting = [b for b in self.order if allowed[b]]
         if not waiting:
             return self._say(self.names.done)
-        block = min(waiting, key=lambda b: self.failed.get(b, 0) // _TRIES)
+        block = self.next_block(now, waiting)
         wanted = (fitting(now, block, bias) if self.looks else np.zeros(3)) - bias
         number = self._towards(now, wanted)
         return self._say(block if number is None else number)
+
+    def next_block(self, now: BelievedBlocks, waiting: list[int]) -> int:
+        """Which of the blocks that may be put down is: the first in the order, but one that did not
+        go in several times waits for the others."""
+        return min(waiting, key=lambda b: self.failed.get(b, 0) // _TRIES)
 
     def _say(self, number: int) -> int:
         self.last = number
