@@ -481,6 +481,9 @@ BAD = [
         ["export", "{d}/design.json", "--format", "ros2"],
         "trajectory",
     ),
+    BadCall("an arm of no file", ["add-arm", "{d}/nosuch.urdf", "--out", "{d}/new"], "nosuch"),
+    BadCall("an arm of a design", ["add-arm", "{d}/design.json", "--out", "{d}/new"], "a URDF"),
+    BadCall("an arm without a place", ["add-arm", "{d}/design.json"], "--out"),
     BadCall(
         "replay no program", ["replay-trajectory", "{d}/nosuch.csv", "--arm", "panda"], "nosuch"
     ),

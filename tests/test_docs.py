@@ -43,6 +43,8 @@ TOO_LONG = (
     "dynamic",
     "measure-designs",
     "--robot",
+    "--arm six",
+    "gate-six",
 )
 """Commands with these words are parsed, and their tests are elsewhere."""
 

@@ -377,6 +377,27 @@ def _export_program(options: argparse.Namespace, output: Output) -> None:
 
 @command(
     COMMANDS,
+    "add-arm",
+    "make an arm of one's own from its URDF",
+    "l2a add-arm mine.urdf --out arms/mine",
+    arg("urdf", metavar="URDF", type=named, help="its file; meshes beside it, as it names them"),
+    arg("--out", type=named, required=True, metavar="DIR", help="the arm's folder and its name"),
+    arg("--flange", default=None, help="link that tools are fixed to, z out of it (the last one)"),
+    arg("--payload", type=float, default=None, help="largest mass that it carries, with its tool"),
+)
+def _add_arm(options: argparse.Namespace, output: Output) -> int:
+    from learn2assemble.robot.own_arms import PLACE
+    from learn2assemble.robot.urdf import arm_from_urdf
+
+    file = arm_from_urdf(options.urdf, options.out, flange=options.flange, payload=options.payload)
+    output.say(f"arm {options.out.name}: {file}")
+    output.say(f"commands know it with {PLACE}={options.out.parent}")
+    output.finish({"arm": options.out.name, "file": str(file)})
+    return 0
+
+
+@command(
+    COMMANDS,
     "replay-trajectory",
     "play an exported program of a robot in the simulation, without looking",
     "l2a replay-trajectory out/program.csv --arm panda",

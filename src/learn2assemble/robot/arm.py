@@ -33,6 +33,8 @@ from learn2assemble.robot.tool import (
 
 SWING = 0.02
 """A curve through poses swings out between them by less [rad]; 0.007 was seen."""
+FINGERS = "gripper"
+"""The tool that an arm comes with."""
 MESHES = "meshes.zip"
 """Beside an MJCF, the mesh files of its pictures; those that are not in it are read beside it."""
 FARTHEST = 20.0
@@ -170,18 +172,22 @@ def get_arm(
 
     Raises:
         UnknownNameError: naming the nearest one.
-        InputError: for a base that is not four finite numbers.
+        InputError: for a base that is not four finite numbers, and for fingers of an arm that has
+            none.
     """
     if base is not None:
         given = {"base": list(base)}
         base = tuple(numbers(given, "base", 4, f"arm {name}").tolist())
         if max(map(abs, base)) > FARTHEST:
             raise InputError(f"arm {name}, base", list(base), f"numbers up to {FARTHEST:g}")
-    return _get_arm(
+    found = _get_arm(
         look_up("arm", name, ARMS),
-        look_up("tool", "gripper" if tool is None else tool, TOOLS),
+        look_up("tool", FINGERS if tool is None else tool, TOOLS),
         base,
     )
+    if tool == FINGERS and not found.gripper.fingers:
+        raise InputError("tool", tool, f"a suction tool: the arm {name} has no fingers")
+    return found
 
 
 @lru_cache(maxsize=32)
@@ -246,6 +252,9 @@ def _gripper(data: dict[str, Any], model: mujoco.MjModel, site: str, where: str)
     def names(key: str, kind: str) -> tuple[str, ...]:
         return tuple(_named(model, kind, name, where) for name in value(data, key, where))
 
+    if "fingers" not in data:
+        hand = _named(model, "body", value(data, "hand", where), where)
+        return Gripper(hand, (), (), (), "", 0.0, 0.0, 0.0, 0.0, 1.0, 1.0)
     closed, opened = numbers(data, "command", 2, where)
     width = float(value(data, "width", where))
     actuator = _named(model, "actuator", value(data, "actuator", where), where)

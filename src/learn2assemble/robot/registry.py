@@ -7,13 +7,14 @@ from pathlib import Path
 
 from learn2assemble.errors import InputError
 from learn2assemble.files import as_path
-from learn2assemble.registry import Registry
+from learn2assemble.registry import Registry, add_plugin
 
 ASSETS = Path(__file__).resolve().parents[1] / "assets"
 ARMS: Registry[Path] = Registry(
     "arm", {name: ASSETS / "arms" / name / "arm.toml" for name in ("panda", "ur5e")}
 )
 """Every arm by name, and its file."""
+add_plugin("learn2assemble.robot.own_arms", "arm")
 TOOLS: Registry[Path] = Registry(
     "tool",
     {
