@@ -28,6 +28,9 @@ from learn2assemble.robot.holding import LEAST_GRIP, PAD, STUD_ROOM, holds_of
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Move, Scene
 from learn2assemble.simulation.dry_run import play
+from learn2assemble.viewer.arm import arm_section, object_name
+from learn2assemble.viewer.errors import MOST, truth_data
+from learn2assemble.viewer.playback import Playback
 
 DUPLO = load_kit("duplo")
 
@@ -96,6 +99,25 @@ def test_a_build_with_a_part_beside_becomes_a_program_that_presses(
     done = play(replace(program, states=gently), arm)
     assert not done.same
     assert "loose on its studs" in done.fault
+
+
+def test_a_page_names_all_that_is_brought_as_one(stair: Plan) -> None:
+    names = [block.id for block in STAIR.blocks]
+    told = [object_name(step, names) for step in stair.record.steps] if stair.record else []
+    assert told == [*names, f"{names[2]} and {names[3]}"]
+    page = arm_section(Playback(stair.records, stair), names)
+    assert page.count(f"<td>{told[-1]}</td>") == 1
+
+
+def test_small_errors_are_not_drawn_as_large_as_blocks(stair: Plan) -> None:
+    """They were drawn 2,478 times as large where none was more than 0.02 mm."""
+    assert stair.record is not None
+    off = np.zeros((len(STAIR.blocks), 7))
+    off[:, 0] = 1e-6
+    steps = tuple(replace(step, truth=step.after + off) for step in stair.record.steps)
+    drawn = truth_data(Playback((replace(stair.record, steps=steps),), stair))
+    assert drawn is not None
+    assert drawn["scale"] == MOST
 
 
 def test_a_run_presses_what_is_built_beside(stair: Plan) -> None:

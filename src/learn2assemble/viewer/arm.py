@@ -57,11 +57,20 @@ class Labels(NamedTuple):
         """
         if step.outcome == Outcome.REACHED and step.plan_step is not None:
             return self.captions[step.plan_step] + (f" Placed by {arm}." if arm else "")
-        block = self.names[step.cells[0]]
+        block = object_name(step, self.names)
         text = f"{block[0].upper()}{block[1:]}: {step.outcome.label}. {sentence(step.detail)}"
         if step.replanned:
             text += " The rest of the build is planned anew from where the blocks are now."
         return text
+
+
+def object_name(step: StepRecord, names: Sequence[str]) -> str:
+    """What an attempt brings: a block, or several as one, that which is held first.
+
+    Args:
+        names: of the blocks by cell.
+    """
+    return " and ".join(dict.fromkeys(names[cell] for cell in step.cells))
 
 
 def arm_values(playback: Playback) -> dict[str, str]:
@@ -89,7 +98,10 @@ def arm_section(playback: Playback, names: Sequence[str]) -> str:
     several = len(playback.arms) > 1
     rows = "".join(
         _attempt(
-            k, segment, names[segment.step.cells[0]], several and playback.arms[segment.arm].name
+            k,
+            segment,
+            object_name(segment.step, names),
+            several and playback.arms[segment.arm].name,
         )
         for k, segment in enumerate(playback.segments, 1)
     )
@@ -214,7 +226,7 @@ def _robot(arm: PlayedArm) -> dict[str, Any]:
 def _segment(playback: Playback, number: int, labels: Labels) -> dict[str, Any]:
     segment = playback.segments[number]
     step, delay = segment.step, segment.delay
-    block, arm = labels.names[step.cells[0]], playback.arms[segment.arm]
+    block, arm = object_name(step, labels.names), playback.arms[segment.arm]
     last = playback.segments[number - 1].step.after if number else step.before
     appeared = np.flatnonzero(np.abs(step.before - last).max(1) > 1e-9).tolist()
     return {

@@ -13,8 +13,9 @@ from learn2assemble.viewer.playback import Playback, split
 
 WIDE, HIGH, LEFT, BELOW = 1000, 150, 46, 16
 """Of a chart and of the room for its axes, in its own units."""
-SHOWN = 0.3
-"""The largest error is drawn as long as this share of a block."""
+SHOWN, MOST = 0.3, 100
+"""The largest error is drawn as long as this share of a block, unless that is more than so many
+times as large as it is."""
 
 
 def error_section(playback: Playback, names: tuple[str, ...]) -> str:
@@ -90,7 +91,7 @@ def truth_data(playback: Playback) -> dict[str, Any] | None:
     off = [(s.truth - s.after)[cells, :3] for s, cells in zip(steps, there, strict=True)]
     largest = max((float(np.linalg.norm(one, axis=1).max()) for one in off if len(one)), default=0)
     size = float(np.median(2 * playback.half.min(1)))
-    scale = 1 if largest <= 0 else max(1, int(SHOWN * size / largest))
+    scale = 1 if largest <= 0 else min(max(1, int(SHOWN * size / largest)), MOST)
     told: dict[str, Any] = {}
     for step, cells, away in zip(steps, there, off, strict=True):
         assert step.truth is not None

@@ -26,7 +26,7 @@ from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.shape import LinkPart, Mesh, box
 from learn2assemble.viewer import renderer
-from learn2assemble.viewer.arm import Labels, arms_words, extent
+from learn2assemble.viewer.arm import Labels, arms_words, extent, object_name
 from learn2assemble.viewer.picture import ACCENT, INK, LINE, PAPER, RIM, SOFT
 from learn2assemble.viewer.playback import Playback, ReplaySegment, split
 from learn2assemble.viewer.scene import cell_labels
@@ -301,7 +301,7 @@ class Frames:
         step = segment.step
         if not len(step.samples.time):
             return f"cannot move: {step.outcome.label}"
-        block = self.labels.names[step.cells[0]]
+        block = object_name(step, self.labels.names)
         for stage in step.stages:
             if stage.start - 1e-6 <= clock - segment.delay <= stage.end + 1e-6:
                 suction = self.playback.arms[segment.arm].suction
