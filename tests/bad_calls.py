@@ -984,6 +984,16 @@ BAD = [
         "part of the name",
     ),
     BadCall(
+        "figures of hidden errors over a design",
+        ["measure-hidden", "--out", "{d}/design.json"],
+        "a new file, or a result of this command",
+    ),
+    BadCall(
+        "figures of hidden errors that are not there",
+        ["measure-hidden", "--out", "{d}/new.json", "--only", "nosuch"],
+        "part of the name",
+    ),
+    BadCall(
         "measured designs into another file",
         ["measure-designs", "--out", "{d}/design.json"],
         "a new file",
