@@ -62,12 +62,16 @@ class Structure:
         job: its assembly is proven.
     """
 
+    job: Job
+    contacts: Contacts
+    leans: bool
+
     def __init__(self, job: Job) -> None:
         from learn2assemble.assembly.contacts import add_point_contacts, find_contacts
         from learn2assemble.statics.rigid_blocks import bed_patches
 
         self.job, self.contacts = job, find_contacts(job.assembly)
-        self.lying = self.contacts.only(bed_patches(self.contacts))
+        self.lying: Contacts = self.contacts.only(bed_patches(self.contacts))
         count = len(job.pieces)
         self.below: list[set[int]] = [set() for _ in range(count)]
         self.above: list[set[int]] = [set() for _ in range(count)]

@@ -106,12 +106,17 @@ class AttemptSenses:
         home: as :attr:`Ahead.home`.
     """
 
+    sight: Sight
+    order: Order
+    rows: Rows
+    moving: int
+
     def __init__(
         self, sight: Sight, order: Order, rows: Rows, moving: int, home: np.ndarray | None
     ) -> None:
         self.sight, self.order, self.rows, self.moving = sight, order, rows, moving
         self.home = home
-        self.name = sight.world.names[moving]
+        self.name: str = sight.world.names[moving]
         self.run: Execution | None = None
 
     def _centre(self, row: int) -> np.ndarray:
@@ -192,9 +197,13 @@ class Attempts:
         careful: ways of the arm are planned in the world as it is believed; else they are straight.
     """
 
+    job: Job
+    plant: Plant
+    sight: Sight
+
     def __init__(self, job: Job, plant: Plant, sight: Sight, careful: bool) -> None:
         self.job, self.plant, self.sight = job, plant, sight
-        self.planner = DynamicCell(job.arm, recover=True) if careful else None
+        self.planner: DynamicCell | None = DynamicCell(job.arm, recover=True) if careful else None
         """Has the models in which ways are planned, and the limits."""
         self.announce: Callable[[Execution, str], bool] = lambda run, block: True
         """Called before the arm moves, with the name of the block that it will: whether it may."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,10 +19,13 @@ from learn2assemble.cell.arrange import Structure
 from learn2assemble.cell.workcell import Job
 from learn2assemble.cell.world import STANDING, Rows, WorkcellBlocks
 from learn2assemble.robot.studs import StudJoint, Studs
-from learn2assemble.statics.holding import Push
+from learn2assemble.statics.holding import Balance, Need, Push
 from learn2assemble.statics.holding_check import stands_by_joints
 from learn2assemble.statics.laws import ByStrength
 from learn2assemble.statics.states import State
+
+if TYPE_CHECKING:
+    from learn2assemble.assembly.joints import Joint
 
 
 class BrickStates:
@@ -34,12 +38,17 @@ class BrickStates:
         InputError: as :class:`~learn2assemble.assembly.bricks.mates.BrickMates`.
     """
 
+    assembly: Assembly
+    joint: Joint
+    need: Need
+    balance: Balance
+
     def __init__(self, assembly: Assembly) -> None:
-        self.mates = BrickMates(assembly)
+        self.mates: BrickMates = BrickMates(assembly)
         self.assembly, self.joint = assembly, assembly.joint
         found = stands_by_joints(assembly)
         self.need, self.balance = found.need, found.balance
-        self.law = ByStrength(assembly, found)
+        self.law: ByStrength = ByStrength(assembly, found)
 
     def present(self, bricks: frozenset[int]) -> np.ndarray:
         """bool[B]: bricks that are there."""
@@ -127,11 +136,15 @@ class BrickStructure(Structure):
         InputError: as :class:`BrickStates`.
     """
 
+    job: Job
+    leans: bool
+    states: BrickStates
+
     def __init__(self, job: Job) -> None:
         self.job, self.leans = job, False
         self.states = states = BrickStates(job.assembly.finished)
-        self.below = [set(lower) - {GROUND} for lower in states.mates.lower]
-        self.above = [set(upper) for upper in states.mates.upper]
+        self.below: list[set[int]] = [set(lower) - {GROUND} for lower in states.mates.lower]
+        self.above: list[set[int]] = [set(upper) for upper in states.mates.upper]
         self._proven = {frozenset[int]()}
         self._joints = {
             pair: states.stud_joint(*pair)

@@ -7,7 +7,7 @@ where the next decision begins; a build that is interrupted goes on from its fil
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from learn2assemble.cell.world import (
     STANDING,
     STOCK,
     Rows,
+    WorkcellBlocks,
     moves,
     named,
     rows_of,
@@ -37,6 +38,10 @@ from learn2assemble.motion.recorder import StepMotion
 from learn2assemble.progress import Detail
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Move, Outcome, carried
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
 
 PLACING = ("place", "again", "attach")
 """Actions after which a block is in its place."""
@@ -83,6 +88,15 @@ class Building:
         witness: called after every attempt; what it keeps is for reports when the build is over.
     """
 
+    job: Job
+    kinematic: KinematicCell
+    key: str
+    kept: Kept | None
+    log: Path | None
+    recorded: bool
+    witness: Callable[[], None]
+    stopped: Stop
+
     def __init__(
         self,
         found: Prepared,
@@ -94,30 +108,30 @@ class Building:
         witness: Callable[[], None] = lambda: None,
     ) -> None:
         self.job, self.kinematic, self.key, self.kept = found.job, found.cell, key, kept
-        self.known = Choice(found.job, found.order, found.structure)
+        self.known: Choice = Choice(found.job, found.order, found.structure)
         self.log, self.recorded = workcell.log, workcell.physics == "dynamic"
-        self.world = self.known.world
+        self.world: WorkcellBlocks = self.known.world
         arm = self.job.arm
-        self.names = set(self.world.names)
+        self.names: set[str] = set(self.world.names)
         """Of all blocks there ever were."""
-        self.plant = Checked(plant, arm.name, len(arm.joints), self.names, OLDEST)
-        self.sight = Sight(self.plant, arm, self.world, workcell.touch)
+        self.plant: Checked = Checked(plant, arm.name, len(arm.joints), self.names, OLDEST)
+        self.sight: Sight = Sight(self.plant, arm, self.world, workcell.touch)
         self.sight.pause = self._pause
-        self.attempts = Attempts(self.job, self.plant, self.sight, self.recorded)
+        self.attempts: Attempts = Attempts(self.job, self.plant, self.sight, self.recorded)
         self.witness, self.stopped = witness, Stop.END
         """Why the plant ended the build, where it did."""
-        self.joints = self._where(arm.home)
-        self.goes_home = bool(workcell.site.cameras)
+        self.joints: np.ndarray = self._where(arm.home)
+        self.goes_home: bool = bool(workcell.site.cameras)
         """Whether the arm waits at home, not above what it takes next: where cameras look for
         blocks it goes out of their sight."""
-        self.stood = 0.0
+        self.stood: float = 0.0
         """So long the arm did nothing before an attempt, where others work meanwhile [s], ..."""
         self.gone: StepMotion | None = None
         """... after it has done this, since its last attempt."""
         self.chosen: Callable[[], None] = lambda: None
         """Called when it is decided how the arm moves, before it does."""
         studs = found.structure.studs()
-        self.recording = Recording(self.world, self.joints, words, studs)
+        self.recording: Recording = Recording(self.world, self.joints, words, studs)
         self._resume()
 
     # ------------------------------------------------------------ going on

@@ -123,6 +123,9 @@ class Fitting:
         studs: whether they are pressed on knobs, which draw each to its place on those below.
     """
 
+    world: WorkcellBlocks
+    studs: bool
+
     def __init__(self, world: WorkcellBlocks, studs: bool = False) -> None:
         self.world, self.studs = world, studs
         self._near: dict[int, tuple[Corner, ...]] = {}

@@ -174,7 +174,9 @@ class InTurn(Together[Cell]):
         ways: of :func:`ways_of`.
     """
 
-    building_of = InTurnBuilding
+    steps: Sequence[Step]
+    ways: dict[int, Brought]
+    building_of: type[Building] = InTurnBuilding
 
     def __init__(
         self,
@@ -185,7 +187,7 @@ class InTurn(Together[Cell]):
     ) -> None:
         super().__init__(crew, opened)
         self.steps, self.ways = steps, ways
-        self.now = 0
+        self.now: int = 0
         """Number of the step whose turn it is."""
         self.over: str | None = None
         """Why it cannot go on."""

@@ -13,7 +13,7 @@ import json
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,6 +26,10 @@ from learn2assemble.motion.record import BuildRecord, ByHand, Samples, Stage, St
 from learn2assemble.motion.recorder import BuildRecorder, CellShapes
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.studs import GROUND, Studs
+
+if TYPE_CHECKING:
+    from learn2assemble.cell.site import Obstacle
+    from learn2assemble.cell.workcell import Job
 
 FORMAT, VERSION = "learn2assemble-build", 5
 SUM = "checksum"
@@ -125,18 +129,24 @@ class Recording:
         studs: joints of the structure, in pieces; None: there are none.
     """
 
+    world: WorkcellBlocks
+    job: Job
+    words: str
+    studs: Studs | None
+    recorder: BuildRecorder
+
     def __init__(
         self, world: WorkcellBlocks, joints: np.ndarray, words: str, studs: Studs | None = None
     ) -> None:
         self.world, self.job, self.words, self.studs = world, world.job, words, studs
         count = len(world.pieces)
-        self.body = list(range(count))
+        self.body: list[int] = list(range(count))
         """The physical block that each piece is; others where one was lost."""
         self.like: list[int] = []
         """Of every block beyond those of the plan, the piece it is like."""
-        self.cells = world.cells()
-        self.obstacles = [one for one in self.job.obstacles if not one.arm]
-        self.fixed = [sum(map(len, self.cells)) + n for n in range(len(self.obstacles))]
+        self.cells: list[tuple[int, ...]] = world.cells()
+        self.obstacles: list[Obstacle] = [one for one in self.job.obstacles if not one.arm]
+        self.fixed: list[int] = [sum(map(len, self.cells)) + n for n in range(len(self.obstacles))]
         self.hands: list[ByHand] = []
         self.begin(joints, 0.0)
 

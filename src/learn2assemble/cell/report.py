@@ -6,7 +6,7 @@ build is over; whoever decides has seen none of it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import chain
 from typing import Any, NamedTuple
@@ -111,7 +111,7 @@ class Witness:
     """
 
     def __init__(self, plant: object) -> None:
-        self.truth = getattr(plant, "truth", None)
+        self.truth: Callable[[], dict[str, np.ndarray]] | None = getattr(plant, "truth", None)
         self.told: list[dict[str, np.ndarray]] = []
 
     def __call__(self) -> None:

@@ -71,13 +71,18 @@ class Sight:
         touch: whether the tool's touch counts as a measurement.
     """
 
+    plant: Plant
+    arm: Arm
+    world: WorkcellBlocks
+    touch: bool
+
     def __init__(self, plant: Plant, arm: Arm, world: WorkcellBlocks, touch: bool = True) -> None:
         self.plant, self.arm, self.world, self.touch = plant, arm, world, touch
-        self.belief = Belief(lambda name: world.pieces[world.names.index(name)].turns())
+        self.belief: Belief = Belief(lambda name: world.pieces[world.names.index(name)].turns())
         self.held: Held | None = None
         self.since: dict[str, float] = {}
         """When a block was moved last; older readings say nothing of it."""
-        self.last = -PICTURE
+        self.last: float = -PICTURE
         self.pause: Callable[[float], Any] = lambda seconds: None
         """Waits [s], standing still."""
 

@@ -82,10 +82,14 @@ class Choice:
         structure: what rests on what.
     """
 
+    job: Job
+    order: tuple[StepOf, ...]
+    structure: Structure
+
     def __init__(self, job: Job, found: Arranged, structure: Structure) -> None:
         self.job, self.order, self.structure = job, found.steps, structure
-        self.by_hand = found.by_hand
-        self.world = WorkcellBlocks(job)
+        self.by_hand: frozenset[StepOf] = found.by_hand
+        self.world: WorkcellBlocks = WorkcellBlocks(job)
         for step in self.order:
             if step.beside is not None:
                 self.world.beside[step.block] = step.beside
@@ -102,8 +106,8 @@ class Choice:
         self.later: set[int] = set()
         """Blocks that would be in the way of others, which come before."""
         self.done: list[Done] = []
-        self.fitting = Fitting(self.world, structure.studs() is not None)
-        self.comes = {step.block for step in self.order}
+        self.fitting: Fitting = Fitting(self.world, structure.studs() is not None)
+        self.comes: set[int] = {step.block for step in self.order}
 
     def state(self) -> dict[str, Any]:
         """What a file says of it, with what came of the last attempt."""

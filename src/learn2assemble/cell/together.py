@@ -125,6 +125,9 @@ class Together(Generic[Cell]):
         InputError: for a journal of another build, or one that cannot be used.
     """
 
+    traffic: Traffic
+    journal: SharedJournal | None
+
     building_of: type[Building] = Building
 
     def __init__(
@@ -140,17 +143,17 @@ class Together(Generic[Cell]):
         self.plant, self.traffic = opened(setup), Traffic((first, second))
         self.journal, kept = journal, [] if journal is None else journal.read(self.plant)
         mine, other = self.plant.plants
-        self.arms = (
+        self.arms: tuple[ArmInTraffic, ArmInTraffic] = (
             ArmInTraffic(mine, self.traffic, 0, other),
             ArmInTraffic(other, self.traffic, 1, mine),
         )
-        self.worked = tuple(
+        self.worked: tuple[Worked, ...] = tuple(
             self._worker(*one, Witness(self.plant)) for one in zip(*crew, self.arms, strict=True)
         )
-        self.buildings = tuple(one.building for one in self.worked)
+        self.buildings: tuple[Building, ...] = tuple(one.building for one in self.worked)
         for who, building in enumerate(self.buildings):
             building.attempts.announce = self._announcer(who)
-        self.begun = 0.0
+        self.begun: float = 0.0
         """When [s of the plant's clock]."""
         self.turns: list[Turn] = []
         self.tried: tuple[dict[int, Route], dict[int, Route]] = ({}, {})
@@ -162,17 +165,19 @@ class Together(Generic[Cell]):
         self.assumes: list[np.ndarray | None] = [None, None]
         """While an arm takes the block of the other one to stand already, where that was before,
         float64[7]."""
-        self.under = lower_beside(job) if not crew.found[0].structure.leans else {}
+        self.under: dict[int, set[int]] = (
+            lower_beside(job) if not crew.found[0].structure.leans else {}
+        )
         """By piece, those that come before it, see :func:`lower_beside`; as planned where blocks
         lean."""
-        self.moves = [0, 0]
+        self.moves: list[int] = [0, 0]
         """The piece that each arm moves, or was the last to."""
         self.picks: list[int | None] = [None, None]
         """The piece of the attempt that each arm begins, before it says so: where readings are not
         exact, it takes time to see what a magazine presents."""
         self.lost: set[int] = set()
         """Blocks that an arm moved when its plant ended that."""
-        self.working = [True, True]
+        self.working: list[bool] = [True, True]
         self.reasons: list[str | None] = [None, None]
         self.stops: list[str] = []
         """Why plants have ended what an arm did."""

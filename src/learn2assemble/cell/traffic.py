@@ -142,8 +142,10 @@ class Traffic:
     """
 
     def __init__(self, arms: tuple[Arm, Arm]) -> None:
-        self.lanes = tuple(Lane(arm, sweep(arm, capsules_of(arm), arm.home[None])) for arm in arms)
-        self.changes = 0
+        self.lanes: tuple[Lane, ...] = tuple(
+            Lane(arm, sweep(arm, capsules_of(arm), arm.home[None])) for arm in arms
+        )
+        self.changes: int = 0
         """How often something changed for either."""
         self._known: dict[tuple[int, int, float], tuple[bool, Sweep, Sweep]] = {}
 
@@ -379,10 +381,14 @@ class ArmInTraffic(WrappedPlant):
         other: plant of the other arm, which tells where that is.
     """
 
+    traffic: Traffic
+    who: int
+    other: Plant
+
     def __init__(self, plant: Plant, traffic: Traffic, who: int, other: Plant) -> None:
         super().__init__(plant)
         self.traffic, self.who, self.other = traffic, who, other
-        self.waited = 0.0
+        self.waited: float = 0.0
         """For the other arm, all in all [s]."""
 
     def sense(self) -> Readings:

@@ -6,7 +6,7 @@ import itertools
 import math
 import re
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from learn2assemble.robot.bodies import Shape
 from learn2assemble.robot.grasps import WAY, facing
 from learn2assemble.robot.holding import attitude, ways_to_turn
 from learn2assemble.robot.moves import ARM_THERE, AT_THE_SIDE, Move, Scene
+
+if TYPE_CHECKING:
+    from learn2assemble.cell.pieces import Piece
 
 FLAT = math.radians(4.0)
 """What leans more cannot be picked up [rad]."""
@@ -46,25 +49,28 @@ class WorkcellBlocks:
         job: its pieces, to which replacements may be added.
     """
 
+    job: Job
+    pieces: list[Piece]
+
     def __init__(self, job: Job) -> None:
         self.job, self.pieces = job, list(job.pieces)
         count = len(self.pieces)
-        self.names = [piece.id for piece in self.pieces]
+        self.names: list[str] = [piece.id for piece in self.pieces]
         """What the blocks are called that the pieces are now."""
-        self.pose = np.zeros((count, 7))
+        self.pose: np.ndarray = np.zeros((count, 7))
         """float64[N, 7]: position [m] and quaternion (w, x, y, z) of the frame of its shape, as it
         is believed."""
-        self.spread = np.zeros((count, 2))
+        self.spread: np.ndarray = np.zeros((count, 2))
         """float64[N, 2]: standard deviations of where they are [m] and of how they are turned
         [rad], each along the axis where it is largest."""
-        self.table = np.zeros(3)
+        self.table: np.ndarray = np.zeros(3)
         """float64[3]: how the table is believed to be: its height at the origin [m], and by how
         much it leans about x and y [rad]."""
-        self.state = [STOCK] * count
+        self.state: list[int] = [STOCK] * count
         self.source: list[int | None] = [None] * count
         """Where each is taken from."""
-        self.used = [0] * len(job.sources)
-        self.beside = np.zeros((count, 3))
+        self.used: list[int] = [0] * len(job.sources)
+        self.beside: np.ndarray = np.zeros((count, 3))
         """float64[N, 3]: how far from its place each is to stand now [m], see
         :attr:`StepOf.beside`."""
         self.arm: tuple[tuple[np.ndarray, np.ndarray], ...] = ()

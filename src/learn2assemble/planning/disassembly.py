@@ -45,6 +45,12 @@ class TakingApart:
         InputError: for blocks that are no bricks on one lattice.
     """
 
+    law: ByStrength
+    help: Supports
+    strength: float
+    mates: BrickMates
+    fixed: np.ndarray
+
     patient = True
 
     def __init__(self, assembly: Assembly, law: ByStrength, supports: Supports) -> None:
@@ -53,16 +59,16 @@ class TakingApart:
         self.fixed, low, high = mates.fixed, mates.lattice.low, mates.lattice.high
         self._hung: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         """Of bricks, what hung on them alone when that was last asked, and what was there then."""
-        self.many = mates.count > _MANY and supports.hands
-        self.tries = _TRIES[0] + _TRIES[1] * mates.count
+        self.many: bool = mates.count > _MANY and supports.hands
+        self.tries: int = _TRIES[0] + _TRIES[1] * mates.count
         nobody = np.zeros(mates.count, bool)
-        self.first = Transition((), State(~nobody, nobody))
-        self.ground = State(self.fixed, nobody)
-        self.top = high[:, 2].tolist()
+        self.first: Transition = Transition((), State(~nobody, nobody))
+        self.ground: State = State(self.fixed, nobody)
+        self.top: list[int] = high[:, 2].tolist()
         layers = _LAYERS * int((high[:, 2] - low[:, 2]).max(initial=1))
-        self.near = layers if self.many else int(high[:, 2].max(initial=0))
+        self.near: int = layers if self.many else int(high[:, 2].max(initial=0))
         """What is deeper below the highest brick is far from it [lattice layers]."""
-        self.rank = np.lexsort((low[:, 1], low[:, 0], -high[:, 2])).tolist()
+        self.rank: list[int] = np.lexsort((low[:, 1], low[:, 0], -high[:, 2])).tolist()
 
     def hanging(self) -> list[int]:
         """Bricks under which there is nothing to press them on."""

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from learn2assemble.simulation.model import concerned
 from learn2assemble.simulation.simulation import NOBODY, Simulation
 from learn2assemble.simulation.things import check_motion, nearest
 
+if TYPE_CHECKING:
+    from learn2assemble.robot.arm import Arm
+
 AIM = 0.03
 """The empty tool is about to take what is within this of where its cups, or pads, go [m]."""
 LATELY, FACING = 0.8, 0.7
@@ -39,6 +43,10 @@ class ArmPlant:
         cell: in which it stands.
         sim: the arm in its simulation.
     """
+
+    cell: DynamicWorld
+    arm: Arm
+    bench: Bench
 
     def __init__(self, cell: DynamicWorld, sim: Simulation) -> None:
         self.cell, self.arm, self.bench = cell, sim.arm, Bench(sim)

@@ -39,6 +39,10 @@ class Bench:
         skip_free: let time pass instead of simulating what the empty hand does on its ways.
     """
 
+    sim: Simulation
+    skip_free: bool
+    hardest: float
+
     def __init__(self, sim: Simulation, skip_free: bool = False) -> None:
         self.sim, self.skip_free = sim, skip_free
         self._wanted = (sim.width, math.inf)

@@ -16,7 +16,7 @@ from learn2assemble.constants import FRICTION, GRAVITY
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.hulls import Hull
 from learn2assemble.motion.plant import BlockReading, Readings, Report, Request
-from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.arm import Arm, Limits
 from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene
 from learn2assemble.robot.scene import rotation_matrix
 from learn2assemble.robot.studs import Studs
@@ -70,6 +70,9 @@ class Worlds:
         forces: of the world.
     """
 
+    arms: tuple[Arm, ...]
+    forces: WorldForces
+
     def __init__(self, arms: Sequence[Arm], forces: WorldForces = _USUAL) -> None:
         self.arms, self.forces = tuple(arms), forces
         self._known: OrderedDict[tuple[object, int, frozenset[Hull], int], SimulatedWorld] = (
@@ -122,6 +125,14 @@ class DynamicCell:
         MissingExtraError: without the extra ``robot``.
     """
 
+    limits: Limits
+    loaded: Limits
+    recover: bool
+    precheck: bool
+    skip_free_motion: bool
+    trace: Trace
+    worlds: Worlds
+
     name = "dynamic"
 
     def __init__(
@@ -144,7 +155,7 @@ class DynamicCell:
         self.arm = arm
         self.limits, self.loaded = arm.bounds.scaled(speed), arm.bounds.scaled(LOADED_SPEED)
         self.recover, self.precheck, self.skip_free_motion = recover, precheck, skip_free_motion
-        self.shift_rule = shift_rule or ShiftRule()
+        self.shift_rule: ShiftRule = shift_rule or ShiftRule()
         self.trace, self.worlds = trace, Worlds((arm,), forces)
 
     def attempt(

@@ -109,6 +109,13 @@ class Clutch:
         target: number of the object that is moved; none where that is below 0.
     """
 
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    press: float
+    joints: list[StudJoint]
+    opened: list[StudJoint]
+    wanted: list[int]
+
     def __init__(
         self,
         world: SimulatedWorld,

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numba import njit
 
-from learn2assemble.simulation.model import TABLE, SimulatedWorld
+from learn2assemble.simulation.model import TABLE, ArmParts, SimulatedWorld
 
 TOUCH = 0.5
 """Smallest force between things that must not meet that counts as a collision [N]: half the weight
@@ -72,6 +72,10 @@ class SimulatedContacts:
         number: of the arm that moves it; the others are things like all others.
     """
 
+    world: SimulatedWorld
+    data: mujoco.MjData
+    names: list[str]
+
     def __init__(
         self,
         world: SimulatedWorld,
@@ -81,7 +85,7 @@ class SimulatedContacts:
         number: int = 0,
     ) -> None:
         self.world, self.data, self.names = world, data, names
-        self.parts = world.arms[number]
+        self.parts: ArmParts = world.arms[number]
         self.along: np.ndarray | None = None
         """float64[3]: unit vector along which the target comes to its place; what it slides along
         does not count as its support. None: everything does."""

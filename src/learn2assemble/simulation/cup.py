@@ -19,7 +19,7 @@ import numpy as np
 from learn2assemble.robot.holding import FACING
 from learn2assemble.robot.scene import rotation_matrix
 from learn2assemble.robot.tool import Cup, Suction
-from learn2assemble.simulation.model import SHRINK, TIMESTEP, SimulatedWorld
+from learn2assemble.simulation.model import SHRINK, TIMESTEP, ArmParts, SimulatedWorld
 
 RIM = 16
 """Points at which the lip is looked at."""
@@ -47,18 +47,23 @@ class Vacuum:
         number: of the arm in the model.
     """
 
+    suction: Suction
+    world: SimulatedWorld
+    model: mujoco.MjModel
+    data: mujoco.MjData
+
     def __init__(
         self, suction: Suction, world: SimulatedWorld, data: mujoco.MjData, number: int = 0
     ) -> None:
         self.suction, self.world, self.model, self.data = suction, world, world.model, data
-        self.parts = world.arms[number]
+        self.parts: ArmParts = world.arms[number]
         self.held: int | None = None
         """Number of the object in the cup."""
-        self.used = suction.cups[0]
+        self.used: Cup = suction.cups[0]
         """The cup that holds it, or that was the last to."""
-        self.lost = ""
+        self.lost: str = ""
         """Why it came off, until the vacuum is turned off; empty if it did not."""
-        self.most = (0.0, 0.0)
+        self.most: tuple[float, float] = (0.0, 0.0)
         """Largest shares of pull-off force and friction so far, see
         :meth:`~learn2assemble.robot.tool.Suction.load`."""
         self._on = self._off = 0

@@ -20,7 +20,7 @@ from learn2assemble.geometry.rotations import (
     yaw_quaternion,
 )
 from learn2assemble.motion.plant import BlockReading
-from learn2assemble.motion.setup import BlockKind, Noise, Simulated
+from learn2assemble.motion.setup import BlockKind, Disturbance, Noise, Simulated
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.bodies import Part, Shape
 
@@ -42,6 +42,10 @@ class Chances:
     Args:
         told: what is asked for.
     """
+
+    seed: int
+    noise: Noise
+    disturbance: Disturbance
 
     def __init__(self, told: Simulated) -> None:
         self.seed, self.noise, self.disturbance = told.seed, told.noise, told.disturbance
@@ -106,10 +110,12 @@ class Straying:
         number: of the arm in the cell.
     """
 
+    moving: float
+
     def __init__(self, chances: Chances, arm: Arm, number: int = 0) -> None:
         zero, self.moving = chances.disturbance.tracking
         rng, n = chances.stream(JOINTS, number), len(arm.joints)
-        self.zero = zero * rng.normal(size=n)
+        self.zero: np.ndarray = zero * rng.normal(size=n)
         """float64[n]: what encoders do not see [rad]."""
         self._rate = 2 * math.pi / rng.uniform(*PERIODS, n)
         self._phase = rng.uniform(0, 2 * math.pi, n)
@@ -133,10 +139,13 @@ class Pictures:
         chances: the numbers.
     """
 
+    chances: Chances
+    noise: Noise
+
     def __init__(self, chances: Chances) -> None:
         self.chances, self.noise = chances, chances.noise
         self.before: tuple[float, Mapping[str, np.ndarray]] | None = None
-        self.last = -1
+        self.last: int = -1
 
     def covariance(self) -> np.ndarray:
         """float64[6, 6] of a reading."""

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from learn2assemble.robot.arm import Arm
-from learn2assemble.simulation.model import SimulatedWorld
+from learn2assemble.simulation.model import ArmParts, SimulatedWorld
 
 
 class Drives:
@@ -25,6 +25,12 @@ class Drives:
         number: of the arm in the model.
     """
 
+    payload: float
+    push: float
+    arm: Arm
+    world: SimulatedWorld
+    data: mujoco.MjData
+
     payload = 0.0
     """Mass at the tool point the controller was told of [kg]."""
     push = 0.0
@@ -34,7 +40,7 @@ class Drives:
         self, arm: Arm, world: SimulatedWorld, data: mujoco.MjData, number: int = 0
     ) -> None:
         self.arm, self.world, self.data = arm, world, data
-        self.parts = world.arms[number]
+        self.parts: ArmParts = world.arms[number]
         m, joint = world.model, self.parts.joint
         self._damping = self.parts.damping + m.dof_damping[joint]
         self._entry = self._inertia_entries(joint)

@@ -8,7 +8,7 @@ so that a step costs what moves.
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import mujoco
 import numpy as np
@@ -24,9 +24,12 @@ from learn2assemble.simulation.cell import WorldForces, Worlds
 from learn2assemble.simulation.clock import SharedClock
 from learn2assemble.simulation.clutch import Clutch
 from learn2assemble.simulation.contacts import BLIND
-from learn2assemble.simulation.model import SHRINK, TIMESTEP, group
+from learn2assemble.simulation.model import SHRINK, TIMESTEP, Objects, group
 from learn2assemble.simulation.simulation import NOBODY, SimulatedState
 from learn2assemble.simulation.things import SimulatedCell
+
+if TYPE_CHECKING:
+    from learn2assemble.robot.arm import Arm
 
 LONGEST_REST = 2.0
 """Blocks that somebody has touched are left alone for so long at most [s]."""
@@ -61,6 +64,9 @@ class DynamicWorld(SimulatedCell):
         InputError: for several arms where bricks clutch.
     """
 
+    objects: Objects
+    studs: Studs | None
+
     simulated: SimulatedState
     plants: tuple[ArmInCell, ...]
     acting: ArmInCell
@@ -72,8 +78,8 @@ class DynamicWorld(SimulatedCell):
             raise InputError("arms", 1 + len(setup.others), "one arm, where bricks clutch")
         change = self.chances.disturbance.friction
         forces = WorldForces(setup.friction * (1 + change), GRAVITY)
-        self.arms = (setup.arm, *setup.others)
-        self.worlds = Worlds(self.arms, forces)
+        self.arms: tuple[Arm, ...] = (setup.arm, *setup.others)
+        self.worlds: Worlds = Worlds(self.arms, forces)
         self.number: dict[str, int] = {}
         """Of the blocks that are free, the object that each is part of in the simulation."""
         self.offset: dict[str, np.ndarray] = {}
@@ -81,12 +87,12 @@ class DynamicWorld(SimulatedCell):
         self.turn: dict[str, np.ndarray] = {}
         """... and float64[4], how they are turned there: what is brought as one may be turned by
         quarters."""
-        self.kinds = {name: number for number, name in enumerate(setup.kinds)}
+        self.kinds: dict[str, int] = {name: number for number, name in enumerate(setup.kinds)}
         self.pairs: dict[tuple[int, int], tuple[int, int]] = {}
         """By rows of the scene, the kinds that each joint of studs joins."""
-        self.hardest = 0.0
+        self.hardest: float = 0.0
         """What a block that was set down pressed hardest with [N]."""
-        self.clock = SharedClock(self._advance)
+        self.clock: SharedClock = SharedClock(self._advance)
 
     def _advance(self, moving: frozenset[int]) -> None:
         """A step of time, in which these arms do what they were told, and others stand."""

@@ -166,22 +166,26 @@ class Execution:
         joints: float64[n] where the arm stands [rad].
     """
 
+    rig: Rig
+    order: Order
+    course: Course
+
     def __init__(self, rig: Rig, order: Order, course: Course, joints: np.ndarray) -> None:
         self.rig, self.order, self.course = rig, order, course
-        self.joints = joints
+        self.joints: np.ndarray = joints
         self.log: list[tuple[str, Played]] = []
         """What the drives were told, by stage."""
         self.inside: ApproachPath | None = None
         """The approach path the hand is on; None where it travels."""
-        self.segments_done = 0
+        self.segments_done: int = 0
         """How many straight parts of the way across are done."""
-        self.holding = False
+        self.holding: bool = False
         """Whether the object is in the hand."""
-        self.closed = False
+        self.closed: bool = False
         """Whether the tool was told to hold."""
-        self.landed = False
+        self.landed: bool = False
         """Whether it rested on something before the hand let go of it."""
-        self.unmoved = False
+        self.unmoved: bool = False
         """Whether the tool has taken hold of the object, and has not moved it yet."""
         self.gone: int | None = None
         """After so many entries of the log it was lost."""

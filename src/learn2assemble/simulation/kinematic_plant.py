@@ -22,7 +22,7 @@ from learn2assemble.motion.plant import (
 )
 from learn2assemble.motion.setup import Setup
 from learn2assemble.robot.bodies import solids
-from learn2assemble.robot.kinematics import forward, get_chain
+from learn2assemble.robot.kinematics import Chain, forward, get_chain
 from learn2assemble.simulation.disturbances import Straying
 from learn2assemble.simulation.things import SimulatedCell, bounds, check_motion, nearest
 
@@ -42,10 +42,16 @@ class KinematicPlant(SimulatedCell):
         setup: as things are meant to be.
     """
 
+    chain: Chain
+    straying: Straying
+    time: float
+    width: float
+    force: float
+
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
         self.chain, self.straying = get_chain(setup.arm), Straying(self.chances, setup.arm)
-        self.joints = (setup.arm.home if setup.joints is None else setup.joints).copy()
+        self.joints: np.ndarray = (setup.arm.home if setup.joints is None else setup.joints).copy()
         self.time, self.width, self.force = 0.0, setup.arm.gripper.max_width, 0.0
         self.hand: tuple[str, np.ndarray, np.ndarray] | None = None
         """The block in it, its position float64[3] and rotation in the tool frame."""

@@ -674,6 +674,10 @@ class Failure(Exception):
         detail: one line.
     """
 
+    outcome: Outcome
+    stage: str
+    detail: str
+
     def __init__(self, outcome: Outcome, stage: str, detail: str) -> None:
         super().__init__(f"{outcome.label} ({stage}): {detail}")
         self.outcome, self.stage, self.detail = outcome, stage, detail

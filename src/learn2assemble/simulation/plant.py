@@ -15,9 +15,9 @@ from learn2assemble.motion.setup import Setup
 from learn2assemble.registry import Registry
 from learn2assemble.simulation.arm_plant import ArmPlant
 from learn2assemble.simulation.bench import Bench
-from learn2assemble.simulation.dynamic_world import DynamicWorld
+from learn2assemble.simulation.dynamic_world import ArmInCell, DynamicWorld
 from learn2assemble.simulation.kinematic_plant import KinematicPlant
-from learn2assemble.simulation.simulation import NOBODY, Simulation, Trace
+from learn2assemble.simulation.simulation import NOBODY, SimulatedState, Simulation, Trace
 
 STILL = 1e-4
 """Nothing comes of what is slower than this [m/s], [rad/s]."""
@@ -50,6 +50,8 @@ class DynamicPlant(DynamicWorld):
     """
 
     plants: tuple[ArmPlant, ...]
+    simulated: SimulatedState
+    acting: ArmInCell
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)

@@ -24,12 +24,7 @@ from learn2assemble.simulation.contacts import SimulatedContacts, Watch
 from learn2assemble.simulation.cup import Vacuum
 from learn2assemble.simulation.disturbances import Straying
 from learn2assemble.simulation.drives import Drives
-from learn2assemble.simulation.model import (
-    TIMESTEP,
-    Failure,
-    Objects,
-    SimulatedWorld,
-)
+from learn2assemble.simulation.model import TIMESTEP, ArmParts, Failure, Objects, SimulatedWorld
 from learn2assemble.simulation.trajectory import (
     PathSamples,
 )
@@ -43,6 +38,9 @@ class SimulationDivergedError(Learn2AssembleError, ArithmeticError):
         folder: has ``scene.xml``, the model, and ``state.npz``: ``qpos``, ``qvel``, ``ctrl``,
             ``time``, ``stage`` and ``began``, the poses of the objects at the beginning.
     """
+
+    time: float
+    folder: Path
 
     def __init__(self, time: float, folder: Path) -> None:
         super().__init__(f"simulation diverged at {time:.3f} s; model and state are in {folder}")
@@ -99,6 +97,13 @@ class SimulatedState:
         dump: see :class:`Trace`.
     """
 
+    world: SimulatedWorld
+    names: list[str]
+    steps: int
+    dump: Path | None
+    model: mujoco.MjModel
+    data: mujoco.MjData
+
     def __init__(
         self,
         world: SimulatedWorld,
@@ -109,10 +114,10 @@ class SimulatedState:
     ) -> None:
         self.world, self.names, self.steps, self.dump = world, names, begun, dump
         self.model, self.data = world.model, mujoco.MjData(world.model)
-        self.poses = self.data.qpos[world.pose :].reshape(-1, 7)
+        self.poses: np.ndarray = self.data.qpos[world.pose :].reshape(-1, 7)
         """float64[b, 7]: poses of the objects now; a view."""
         self.poses[:] = poses
-        self.began = self.poses.copy()
+        self.began: np.ndarray = self.poses.copy()
         self.stage = STAGES[0]
         """What an arm does, for a look into a simulation that diverged."""
         self.clutch: Clutch | None = None
@@ -154,6 +159,23 @@ class Simulation:
         number: of the arm in the model.
     """
 
+    arm: Arm
+    number: int
+    trace: Trace
+    joints: np.ndarray
+    velocity: np.ndarray
+    width: float
+    state: SimulatedState
+    target: int
+    world: SimulatedWorld
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    parts: ArmParts
+    poses: np.ndarray
+    drives: Drives
+    contacts: SimulatedContacts
+    cup: Vacuum | None
+
     def __init__(
         self,
         state: SimulatedState,
@@ -169,7 +191,7 @@ class Simulation:
         """How joints are elsewhere than they are told; None: they are not."""
         self.step: Callable[[], None] = lambda: self.state.step()
         """Lets everything go on by one step; afterwards the arm may share another state."""
-        self.stage = "approach"
+        self.stage: str = "approach"
         self._samples: list[tuple[Any, ...]] = []
         self.joints, self.velocity, self.width = joints.copy(), np.zeros_like(joints), width
         self.feels_slip = True

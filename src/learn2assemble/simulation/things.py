@@ -55,15 +55,20 @@ class SimulatedCell:
         setup: as things are meant to be.
     """
 
+    setup: Setup
+    arm: Arm
+    presented: int
+    grasps: int
+
     def __init__(self, setup: Setup) -> None:
         self.setup, self.arm = setup, setup.arm
-        self.chances = Chances(setup.simulated)
-        self.pictures = Pictures(self.chances)
-        self.table = self.chances.table()
+        self.chances: Chances = Chances(setup.simulated)
+        self.pictures: Pictures = Pictures(self.chances)
+        self.table: np.ndarray = self.chances.table()
         self.things: dict[str, Thing] = {}
         self.presented = self.grasps = 0
         """How often a magazine presented a block, and the arm took hold of something."""
-        self.push_due = False
+        self.push_due: bool = False
         self.home: set[tuple[int, int]] = set()
         """Joints of studs that are pressed home: lower and upper kind."""
         self.joined: dict[str, str] = {}

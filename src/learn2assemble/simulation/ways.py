@@ -20,6 +20,7 @@ from learn2assemble.simulation.model import (
     PAD,
     PLAN_MARGIN,
     TABLE,
+    ArmParts,
     Failure,
     SimulatedWorld,
     set_held,
@@ -51,12 +52,16 @@ class WorldChecker(CollisionChecker):
         names: what to call them.
     """
 
+    world: SimulatedWorld
+    names: list[str]
+    opening: float
+
     def __init__(
         self, arm: Arm, world: SimulatedWorld, poses: np.ndarray, names: list[str]
     ) -> None:
         super().__init__(arm, world.plan)
         self.world, self.names, m = world, names, self.model
-        self.parts = world.arms[0]
+        self.parts: ArmParts = world.arms[0]
         self._poses = self.data.qpos[world.pose :].reshape(-1, 7)
         self._begin = poses
         self._is_arm = (world.kind == ARM) | (world.kind == PAD)

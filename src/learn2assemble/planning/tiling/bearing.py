@@ -109,7 +109,9 @@ def _different(names: np.ndarray, seen: np.ndarray) -> int:  # pragma: no cover
 
 
 @njit(cache=True)
-def best_brick(layer, sizes, x, y, corner, chance):  # pragma: no cover
+def best_brick(  # pragma: no cover
+    layer: Layer, sizes: np.ndarray, x: int, y: int, corner: np.ndarray, chance: np.ndarray
+) -> tuple[int, int, int, int]:
     """The brick that covers a cell best: its first cell and its extents.
 
     Args:
