@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from learn2assemble.motion.driver import Driver
 from learn2assemble.motion.plant import Guard, Motion, ToolCommand
-from learn2assemble.motion.program import Driver
 from learn2assemble.motion.settings import ProgramSettings
 
 SERIAL, OUTCOME, PROGRESS, BEAT = 36, 37, 38, 42
