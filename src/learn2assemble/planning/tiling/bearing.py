@@ -23,7 +23,7 @@ _ALLOWED = 0.5
 """Studs that ways are longer at no cost, once a layer is covered."""
 
 
-class Layer(NamedTuple):
+class Covering(NamedTuple):
     """What a layer is covered by, and beside.
 
     All are arrays [X, Y].
@@ -110,12 +110,12 @@ def _different(names: np.ndarray, seen: np.ndarray) -> int:  # pragma: no cover
 
 @njit(cache=True)
 def best_brick(  # pragma: no cover
-    layer: Layer, sizes: np.ndarray, x: int, y: int, corner: np.ndarray, chance: np.ndarray
+    layer: Covering, sizes: np.ndarray, x: int, y: int, corner: np.ndarray, chance: np.ndarray
 ) -> tuple[int, int, int, int]:
     """The brick that covers a cell best: its first cell and its extents.
 
     Args:
-        layer: see :class:`Layer`.
+        layer: see :class:`Covering`.
         sizes: int64[n, 2], extents of the bricks there are.
         x, y: the cell, which is free.
         corner: bool[2], whether it is the brick's last one along an axis, else the first; an empty

@@ -32,7 +32,7 @@ from learn2assemble.planning.plan import CellCount, Plan
 from learn2assemble.planning.sequence import Supports
 from learn2assemble.planning.tiling.bearing import (
     NO_WAY,
-    Layer,
+    Covering,
     best_brick,
     cost_of,
     least_ways,
@@ -373,7 +373,7 @@ class _Tiler:
             for k in (low - 1, high)
         )
         ways, least = self._ways_below(low), np.ascontiguousarray(self._least[:, :, low])
-        layer = Layer(free, below, above, ways, least)
+        layer = Covering(free, below, above, ways, least)
         out = self._out[slab]
         corner = self.rng.random(2) < 0.5
         cells = np.argwhere(free)
