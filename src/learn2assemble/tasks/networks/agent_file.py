@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from learn2assemble.errors import InputError
 from learn2assemble.files import MAX_BYTES, check_exists, decoded, load_json
@@ -35,9 +35,10 @@ def read_description(file: Path) -> Mapping[str, Any]:
     """
     header = _header(_content(file, MAX_BYTES), file)
     words = header.get(_WORDS)
-    if not isinstance(words, dict) or not isinstance(words.get(KEY), str):
+    text = cast("dict[str, object]", words).get(KEY) if isinstance(words, dict) else None
+    if not isinstance(text, str):
         raise _refused(file, "no description in its header; agents of two files are not read")
-    return mapping(load_json(words[KEY], str(file), "agent"), f"{file}: agent")
+    return mapping(load_json(text, str(file), "agent"), f"{file}: agent")
 
 
 def bare_weights(file: Path) -> bytes:
