@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium
@@ -17,7 +18,13 @@ import pytest
 
 from learn2assemble.cli import main
 from learn2assemble.envs import suite
-from learn2assemble.envs.policies import Lookahead, RandomChoice, RemoteChoice, load_policy
+from learn2assemble.envs.policies import (
+    Lookahead,
+    RandomChoice,
+    RemoteChoice,
+    load_policy,
+    trained_agent,
+)
 from learn2assemble.envs.submission import (
     PlayedProblem,
     Submission,
@@ -243,6 +250,26 @@ def test_the_board_has_a_table_for_each_kind_of_task() -> None:
     assert "| x | model | 0.750 ± 0.490 (2) | 1 of 2 |" in text
     heads = [line for line in text.splitlines() if line.startswith("| entry")]
     assert all(head.count("|") <= 9 for head in heads)
+
+
+def test_policies_of_several_seeds_are_runs_of_one_entry(tmp_path: Path) -> None:
+    entry = enter([RandomChoice(), trained_agent("dqn-s1")], "two", tasks=[SMALL], problems=3)
+    assert [(one.run, one.problem) for one in entry.played] == [
+        (run, problem) for run in range(2) for problem in range(3)
+    ]
+    alone = enter(trained_agent("dqn-s1"), "one", tasks=[SMALL], problems=3)
+    assert (entry.scores(SMALL)[1] == alone.scores(SMALL)[0]).all()
+    entry.write(path := tmp_path / "two.jsonl.gz")
+    assert check(path) == entry
+    means = entry.scores(SMALL).mean(1)
+    spread = 12.706 * means.std(ddof=1) / np.sqrt(2)  # Student's t of one degree of freedom.
+    assert f"| {means.mean():.3f} ± {spread:.3f} (3 x 2) |" in board([entry])
+    for wrong in (entry.played[:5], entry.played[3:], entry.played[::-1]):
+        replace(entry, played=wrong).write(path := tmp_path / "wrong.jsonl.gz")
+        with pytest.raises(InputError, match="problem"):
+            read_submission(path)
+    with pytest.raises(InputError, match="know the same"):
+        enter([RandomChoice(), Lookahead()], "mixed", tasks=[SMALL], problems=1)
 
 
 def test_the_board_of_the_documents_is_that_of_its_files() -> None:

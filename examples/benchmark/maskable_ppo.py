@@ -1,9 +1,10 @@
 """MaskablePPO of sb3-contrib in the benchmark: ``pip install sb3-contrib``.
 
-    python examples/benchmark/maskable_ppo.py maskable-ppo.jsonl.gz
+    python examples/benchmark/maskable_ppo.py maskable-ppo.jsonl.gz [steps] [seeds]
 
-About a minute: it trains on random problems of a task, and plays some of the benchmark before and
-after. Actions are distinct placements, masked to those that would stand.
+About a minute for 50,000 steps of a seed: it trains on random problems of a task, and plays some
+of the benchmark. Actions are distinct placements, masked to those that would stand. Policies of
+several seeds are runs of one entry; a line of the curve is printed every 2,048 steps.
 """
 
 import sys
@@ -12,6 +13,7 @@ import gymnasium
 import numpy as np
 import torch
 from sb3_contrib import MaskablePPO
+from stable_baselines3.common.callbacks import BaseCallback
 
 import learn2assemble.envs
 from learn2assemble.envs.submission import board, enter
@@ -42,18 +44,38 @@ class StandingOnly(gymnasium.Wrapper):
         return standing(self.info)
 
 
-def choose(observation: dict, info: dict) -> int:
-    """The policy of the benchmark."""
-    action, _ = model.predict(observation, action_masks=standing(info), deterministic=True)
-    return int(action)
+class Curve(BaseCallback):
+    """Tells the mean return of the last 50 episodes every so often."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self.name = name
+
+    def _on_step(self) -> bool:
+        if self.n_calls % 2048 == 0:
+            returns = [one["r"] for one in self.model.ep_info_buffer]
+            print(f"{self.name}: {self.n_calls} steps, return {np.mean(returns):.2f}")
+        return True
 
 
-file = sys.argv[1]
-steps = int(sys.argv[2]) if len(sys.argv) > 2 else 10_000
-env = StandingOnly(gymnasium.make(f"learn2assemble/{TASK}-v0", actions="placements"))
-model = MaskablePPO("MultiInputPolicy", env, n_steps=512, batch_size=128, seed=0)
-before = enter(choose, "untrained", tasks=[TASK], problems=PROBLEMS)
-model.learn(steps)
-after = enter(choose, f"MaskablePPO ({steps} steps)", tasks=[TASK], problems=PROBLEMS)
-print(board([before, after]))
-after.write(file)
+class Learned:
+    """A policy of the benchmark."""
+
+    def __init__(self, seed: int, steps: int) -> None:
+        env = StandingOnly(gymnasium.make(f"learn2assemble/{TASK}-v0", actions="placements"))
+        self.model = MaskablePPO(
+            "MultiInputPolicy", env, n_steps=512, batch_size=128, seed=seed, stats_window_size=50
+        )
+        self.model.learn(steps, callback=Curve(f"seed {seed}"))
+
+    def __call__(self, observation: dict, info: dict) -> int:
+        action, _ = self.model.predict(observation, action_masks=standing(info), deterministic=True)
+        return int(action)
+
+
+file, *given = sys.argv[1:]
+steps, seeds = (*map(int, given), *(10_000, 1)[len(given) :])
+policies = [Learned(seed, steps) for seed in range(seeds)]
+entry = enter(policies, f"MaskablePPO ({steps} steps)", tasks=[TASK], problems=PROBLEMS)
+print(board([entry]))
+entry.write(file)

@@ -211,8 +211,10 @@ def _bench(options: argparse.Namespace, output: Output) -> None:
     arg("files", nargs="+", type=named, metavar="FILE", help="NAME.jsonl.gz"),
     arg(
         "--policy",
-        default=None,
-        help="random, look-ahead, exact-planner, shipped, module:name or file.py:name",
+        dest="policies",
+        action="append",
+        help="random, look-ahead, exact-planner, shipped, agent:NAME, module:name or file.py:name; "
+        "several are runs of one entry",
     ),
     arg("--server", default=None, metavar="HOST:PORT", help="a policy in another process"),
     arg("--name", default=None, help="of the entry (the policy's)"),
@@ -225,9 +227,10 @@ def _benchmark(options: argparse.Namespace, output: Output) -> None:
 
     if options.action == "run":
         return _enter(options, output)
-    for name in ("policy", "server", "name", "tasks", "problems"):
+    flags = {"policies": "--policy", "tasks": "--task"}
+    for name in ("policies", "server", "name", "tasks", "problems"):
         if (given := getattr(options, name)) is not None:
-            flag = "--task" if name == "tasks" else f"--{name}"
+            flag = flags.get(name, f"--{name}")
             raise InputError(flag, given, "nothing, but with run")
     read = entries.check if options.action == "check" else entries.read_submission
     found = [read(file) for file in options.files]
@@ -242,14 +245,15 @@ def _enter(options: argparse.Namespace, output: Output) -> None:
 
     if len(options.files) != 1:
         raise InputError("FILE", [str(file) for file in options.files], "one file to write")
-    if (options.policy is None) == (options.server is None):
+    if (options.policies is None) == (options.server is None):
         raise InputError("--policy or --server", "both or none of them", "one of them")
     entries.check_path(options.files[0])
     check_new_file(options.files[0])
-    policy = RemoteChoice(options.server) if options.server else load_policy(options.policy)
+    policies = [load_policy(one) for one in options.policies or ()]
+    name = ", ".join(one.rpartition(":")[2] for one in options.policies or ["server"])
     found = entries.enter(
-        policy,
-        options.name or (options.policy or "server").rpartition(":")[2],
+        policies or RemoteChoice(options.server),
+        options.name or name,
         tasks=tuple(options.tasks or SUITE),
         problems=options.problems,
         progress=output.progress,

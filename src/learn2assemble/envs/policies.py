@@ -172,14 +172,23 @@ class Lookahead:
         return self.choose(observation, info)
 
 
-def shipped_agent() -> OnStates:
-    """The shipped agent for the task, greedy and without a search."""
+def trained_agent(agent: str | Path | None = None) -> OnStates:
+    """An agent, greedy and without a search.
+
+    Args:
+        agent: by name or file; None takes the one that is shipped for the task.
+
+    Raises:
+        InputError: for an agent that is not there.
+    """
     models: dict[str, WorldModel] = {}
+    network = None if agent is None else load_agent(agent).network
 
     def best(simulator: Simulator, state: State) -> np.ndarray:
         name = simulator.task.name
         if name not in models:
-            models[name] = WorldModel(simulator, load_agent(default_agent(name)).network)
+            own = load_agent(default_agent(name)).network if network is None else network
+            models[name] = WorldModel(simulator, own)
         return models[name].best(state)[1]
 
     return OnStates(best, "observation")
@@ -191,13 +200,14 @@ BASELINES: dict[str, Callable[[], Choose]] = {
     "exact-planner": ExactPlanner,
     "planner-with-repair": RepairingPlanner,
     "planner-without-looks": PlannerWithoutLooks,
-    "shipped": shipped_agent,
+    "shipped": trained_agent,
 }
 """Policies that come with the package, by name."""
 
 
 def load_policy(where: str) -> Choose:
-    """A policy by the name of a baseline, ``package.module:name`` or ``file.py:name``.
+    """A policy by the name of a baseline, ``agent:NAME``, ``package.module:name`` or
+    ``file.py:name``.
 
     A class is called without arguments; anything else that can be called is the policy.
 
@@ -208,6 +218,8 @@ def load_policy(where: str) -> Choose:
     if not colon:
         check_name("policy", where, BASELINES)
         return BASELINES[where]()
+    if place == "agent":
+        return trained_agent(name)
     try:
         if place.endswith(".py"):
             spec = importlib.util.spec_from_file_location(Path(place).stem, place)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from scipy import stats
 
 from learn2assemble.envs.suite import SUITE, SUITE_VERSION, Choose, Played, SuiteTask
 from learn2assemble.errors import InputError, check_arguments, check_fields, is_whole
@@ -39,11 +40,14 @@ class PlayedProblem:
     actions: tuple[int, ...]
     score: float
     success: bool
+    run: int = 0
+    """Which policy of the entry played: those of several seeds of training are runs of one."""
 
 
 @dataclass(frozen=True)
 class Submission:
-    """An entry: the first problems of some tasks of the suite, played."""
+    """An entry: the first problems of some tasks of the suite, played, by one policy or by several
+    that differ in the seed of their training alone."""
 
     entry: str
     """Its name on the board."""
@@ -62,8 +66,11 @@ class Submission:
         )
 
     def scores(self, task: str) -> np.ndarray:
-        """float64[n] of the problems of a task that were played."""
-        return np.array([one.score for one in self.played if one.task == task])
+        """float64[runs, n] of the problems of a task that were played."""
+        mine = [one for one in self.played if one.task == task]
+        return np.array([one.score for one in mine]).reshape(
+            max(len({one.run for one in mine}), 1), -1
+        )
 
     def write(self, path: str | Path) -> None:
         """Write the file, ``NAME.jsonl.gz``.
@@ -81,7 +88,7 @@ class Submission:
         return {"entry": self.entry, "format": FORMAT, "knows": self.knows, "suite": self.suite}
 
     def _lines(self) -> list[str]:
-        return [_line(self._head()), *(_line(to_plain(one)) for one in self.played)]
+        return [_line(self._head()), *(_line(_told(one)) for one in self.played)]
 
 
 def check_path(path: Path) -> None:
@@ -94,6 +101,11 @@ def check_path(path: Path) -> None:
         raise InputError("path", printable(str(path)), f"a name that ends with {ENDING}")
 
 
+def _told(one: PlayedProblem) -> dict[str, Any]:
+    plain: dict[str, Any] = to_plain(one)
+    return plain if one.run else {key: value for key, value in plain.items() if key != "run"}
+
+
 def _line(value: dict[str, Any]) -> str:
     return json.dumps(value, sort_keys=True, separators=(",", ":"))
 
@@ -103,7 +115,7 @@ def _digest(lines: Sequence[str]) -> str:
 
 
 def enter(
-    policy: Choose,
+    policy: Choose | Sequence[Choose],
     name: str,
     *,
     tasks: Sequence[str] = tuple(SUITE),
@@ -113,7 +125,7 @@ def enter(
     """Play the benchmark.
 
     Args:
-        policy: see :data:`learn2assemble.envs.suite.Choose`.
+        policy: see :data:`learn2assemble.envs.suite.Choose`; several are the runs of one entry.
         name: of the entry.
         tasks: of the suite; all by default.
         problems: the first so many of every task; all by default.
@@ -126,22 +138,32 @@ def enter(
         {"problems": problems},
         ("problems", problems is None or is_whole(problems, 1), "a whole number of at least 1"),
     )
-    knows: Any = getattr(policy, "knows", "model" if hasattr(policy, "begin") else "observation")
+    runs = list(policy) if isinstance(policy, Sequence) else [policy]
+    known = {_knows(one) for one in runs}
+    if len(known) != 1:
+        raise InputError("policies", len(runs), "one or more that know the same")
+    knows: Any = known.pop()
     Submission(name, knows, SUITE_VERSION, ())  # Refused before anything is played.
     chosen = [SuiteTask(task) for task in sorted(set(tasks))]
     played: list[PlayedProblem] = []
     for task in chosen:
         env, count = task.make(), min(problems or SUITE[task.name], SUITE[task.name])
-        for problem in range(count):
-            done = task.play(env, problem, policy)
-            played.append(_record(task, problem, done))
-        mean = np.mean([one.score for one in played[-count:]])
-        progress(f"{task.name}: {count} problems, {mean:.3f} of the bound")
+        for run, one in enumerate(runs):
+            for problem in range(count):
+                done = task.play(env, problem, one)
+                played.append(_record(task, run, problem, done))
+            mean = np.mean([one.score for one in played[-count:]])
+            which = f", run {run + 1} of {len(runs)}" if len(runs) > 1 else ""
+            progress(f"{task.name}{which}: {count} problems, {mean:.3f} of the bound")
     return Submission(name, knows, SUITE_VERSION, tuple(played))
 
 
-def _record(task: SuiteTask, problem: int, done: Played) -> PlayedProblem:
-    return PlayedProblem(task.name, problem, tuple(done.actions), done.score, done.success)
+def _knows(policy: Choose) -> str:
+    return getattr(policy, "knows", "model" if hasattr(policy, "begin") else "observation")
+
+
+def _record(task: SuiteTask, run: int, problem: int, done: Played) -> PlayedProblem:
+    return PlayedProblem(task.name, problem, tuple(done.actions), done.score, done.success, run)
 
 
 def read_submission(path: str | Path) -> Submission:
@@ -162,12 +184,19 @@ def read_submission(path: str | Path) -> Submission:
     found = from_plain(Submission, {**head, "played": rest}, source)
     if told != _digest(found._lines()):
         raise InputError(f"{source}: sha256", told, "that of its lines; the file was changed")
-    numbers: dict[str, int] = {}
-    for one in found.played:
-        SuiteTask(one.task).seed(one.problem)
-        if one.problem != numbers.get(one.task, 0) or one.task < max(numbers, default=""):
-            raise InputError(f"{source}: problem", one.problem, "all from 0 on, sorted by task")
-        numbers[one.task] = one.problem + 1
+    tasks = [one.task for one in found.played]
+    if tasks != sorted(tasks):
+        raise InputError(f"{source}: problem", tasks[:3], "all from 0 on, sorted by task and run")
+    for task in sorted(set(tasks)):
+        mine = [(one.run, one.problem) for one in found.played if one.task == task]
+        runs = mine[-1][0] + 1
+        count = len(mine) // max(runs, 1)
+        SuiteTask(task).seed(count - 1)
+        for at, whole in zip(mine, np.ndindex(runs, count), strict=False):
+            if at != whole:
+                raise InputError(f"{source}: {task} run, problem", at, str(whole))
+        if len(mine) != runs * count:
+            raise InputError(f"{source}: {task}", len(mine), f"{count} problems for each run")
     return found
 
 
@@ -185,7 +214,7 @@ def check(path: str | Path, *, progress: Callable[[str], None] = lambda line: No
         for one in (one for one in found.played if one.task == name):
             actions = iter(one.actions)
             done = task.play(env, one.problem, lambda *_, rest=actions: next(rest))
-            true = _record(task, one.problem, done)
+            true = _record(task, one.run, one.problem, done)
             same = (true.actions, true.success) == (one.actions, one.success)
             if not same or not math.isclose(true.score, one.score, abs_tol=TOLERANCE):
                 said = f"score {one.score:.6g}, success {one.success}, {len(one.actions)} actions"
@@ -202,7 +231,11 @@ def summary(entry: Submission) -> dict[str, Any]:
         "entry": entry.entry,
         "knows": entry.knows,
         "tasks": {
-            task: {"score": float(entry.scores(task).mean()), "problems": len(entry.scores(task))}
+            task: {
+                "score": float(entry.scores(task).mean()),
+                "problems": entry.scores(task).shape[1],
+                "runs": entry.scores(task).shape[0],
+            }
             for task in tasks
         },
     }
@@ -218,8 +251,9 @@ def board(entries: Sequence[Submission]) -> str:
     its tasks first.
 
     A cell is the mean share of the bound with half its 95 % interval and the number of problems,
-    those of goals together; a task that was left out counts nothing. Where errors are hidden, the
-    share of the problems that were completed is told, too.
+    those of goals together; of an entry with several runs the interval is that of their means, by
+    Student's t. A task that was left out counts nothing. Where errors are hidden, the share of the
+    problems that were completed is told, too.
     """
     kinds: dict[str, dict[str, list[str]]] = {}
     for task in SUITE:
@@ -234,14 +268,14 @@ def _table(entries: Sequence[Submission], kind: str, columns: dict[str, list[str
     completes = kind == "hidden errors"
     rows: list[tuple[float, str, str]] = []
     for entry in entries:
-        scores = [np.concatenate([entry.scores(t) for t in tasks]) for tasks in columns.values()]
-        if not any(map(len, scores)):
+        scores = [_together([entry.scores(t) for t in tasks]) for tasks in columns.values()]
+        if not any(one.size for one in scores):
             continue
         cells = list(map(_cell, scores))
         if completes:
             done = [one.success for one in entry.played if _kind(one.task) == kind]
             cells.append(f"{sum(done)} of {len(done)}")
-        total = sum(float(one.mean()) for one in scores if len(one))
+        total = sum(float(one.mean()) for one in scores if one.size)
         line = " | ".join([entry.entry, entry.knows, *cells])
         rows.append((-total, entry.entry, f"| {line} |"))
     if not rows:
@@ -251,9 +285,20 @@ def _table(entries: Sequence[Submission], kind: str, columns: dict[str, list[str
     return "\n".join([head, rule, *(row for *_, row in sorted(rows))]) + "\n"
 
 
+def _together(scores: Sequence[np.ndarray]) -> np.ndarray:
+    """float64[runs, n]: those of the tasks of a column that were played."""
+    played = [one for one in scores if one.size]
+    return np.concatenate(played, 1) if played else np.empty((0, 0))
+
+
 def _cell(scores: np.ndarray) -> str:
-    if not len(scores):
+    if not scores.size:
         return "–"
-    spread = 1.96 * scores.std(ddof=1) / math.sqrt(len(scores)) if len(scores) > 1 else 0.0
-    around = f" ± {spread:.3f}" if len(scores) > 1 else ""
-    return f"{scores.mean():.3f}{around} ({len(scores)})"
+    runs, problems = scores.shape
+    values = scores.mean(1) if runs > 1 else scores[0]
+    times = float(stats.t.ppf(0.975, runs - 1)) if runs > 1 else 1.96
+    many = len(values) > 1
+    spread = times * values.std(ddof=1) / math.sqrt(len(values)) if many else 0.0
+    around = f" ± {spread:.3f}" if many else ""
+    played = f"{problems} x {runs}" if runs > 1 else f"{problems}"
+    return f"{scores.mean():.3f}{around} ({played})"
