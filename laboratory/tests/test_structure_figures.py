@@ -10,9 +10,12 @@ import pytest
 
 from l2a_lab import structures as figures
 from l2a_lab.measured import measure
+from l2a_lab.meshes import MESHES, mesh_table
 from l2a_lab.states import count_states, every, largest_moves, opened, states_of, upright
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, box_block
 from learn2assemble.cli import main
+
+ROOT = Path(__file__).parents[2]
 
 
 def test_entries_are_measured_once_and_kept(
@@ -83,3 +86,13 @@ def test_faces_are_drawn_in_by_half_a_joint() -> None:
     for made, z in ((wide, (1.0, 2.0)), (deep, (1.01, 1.99))):
         ends = np.array([made.blocks[0].vertices.min(0), made.blocks[0].vertices.max(0)])
         np.testing.assert_allclose(ends, [[0.01, 0.01, z[0]], [0.99, 0.99, z[1]]], atol=1e-12)
+
+
+def test_the_table_of_meshes_is_that_of_the_results() -> None:
+    entries = json.loads((ROOT / "results" / "structures.json").read_text())["entries"]
+    page = (ROOT / "docs" / "bricks.md").read_text(encoding="utf-8")
+    assert mesh_table(entries) in page
+    for one in (entries[f"mesh/{name}"] for name in MESHES):
+        assert one["status"] == "complete"
+        assert one["ldraw_steps"] == one["placed"] == one["bricks"]
+        assert one["check_verdict"] == "stands"

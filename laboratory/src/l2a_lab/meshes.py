@@ -170,3 +170,21 @@ def mesh_rows(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
         )
         rows.append((f"mesh: {name}", f"<= {one['seconds_asked']:g} s", got))
     return rows
+
+
+def mesh_table(entries: dict[str, Result]) -> str:
+    """What was reached, as the table of ``docs/bricks.md``."""
+    head = ["mesh, with hands", "bricks", "processor time", "asked", "holds", "`check`"]
+    lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
+    for name in MESHES:
+        one = entries[f"mesh/{name}"]
+        cells = [
+            name,
+            f"{one['placed']:,}" if one["status"] == "complete" else one["status"],
+            f"{one['seconds']:.0f} s",
+            f"{one['seconds_asked']:.0f} s",
+            f"{one['holds']:,}",
+            f"{one['check_seconds']:.1f} s",
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
