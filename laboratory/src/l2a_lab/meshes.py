@@ -85,7 +85,7 @@ def snail() -> Any:
     ]
     foot = [blob((x, 0.0, 0.28), (0.5, 0.42, 0.28)) for x in np.linspace(-1.7, 1.5, 9)]
     foot.append(box(bounds=[(-1.9, -0.4, 0.0), (1.7, 0.4, 0.3)]))
-    neck = [blob((1.5 + 0.12 * k, 0.0, 0.3 + 0.2 * k), (0.42, 0.36, 0.36)) for k in range(5)]
+    neck = [blob((1.5 + 0.12 * k, 0.0, 0.4 + 0.2 * k), (0.42, 0.36, 0.36)) for k in range(5)]
     horn = revolve([(0.0, 0.0), (0.13, 0.0), (0.13, 0.5), (0.0, 0.5)], sections=24)
     horns = []
     for side in (-1, 1):
