@@ -93,6 +93,6 @@ def test_the_table_of_meshes_is_that_of_the_results() -> None:
     page = (ROOT / "docs" / "bricks.md").read_text(encoding="utf-8")
     assert mesh_table(entries) in page
     for one in (entries[f"mesh/{name}"] for name in MESHES):
-        assert one["status"] == "complete"
-        assert one["ldraw_steps"] == one["placed"] == one["bricks"]
-        assert one["check_verdict"] == "stands"
+        assert one["ldraw_steps"] == one["placed"]
+        stands = one["check_verdict"] == "stands"
+        assert stands == (one["status"] == "complete") == (one["placed"] == one["bricks"])
