@@ -110,12 +110,18 @@ def _different(names: np.ndarray, seen: np.ndarray) -> int:  # pragma: no cover
 
 @njit(cache=True)
 def best_brick(  # pragma: no cover
-    layer: Covering, sizes: np.ndarray, x: int, y: int, corner: np.ndarray, chance: np.ndarray
+    layer: tuple[np.ndarray, ...],
+    sizes: np.ndarray,
+    x: int,
+    y: int,
+    corner: np.ndarray,
+    chance: np.ndarray,
 ) -> tuple[int, int, int, int]:
     """The brick that covers a cell best: its first cell and its extents.
 
     Args:
-        layer: see :class:`Covering`.
+        layer: the fields of a :class:`Covering`; as a plain tuple, as what is kept of compiled code
+            names the classes that it was made for, and fails to load where one is called otherwise.
         sizes: int64[n, 2], extents of the bricks there are.
         x, y: the cell, which is free.
         corner: bool[2], whether it is the brick's last one along an axis, else the first; an empty

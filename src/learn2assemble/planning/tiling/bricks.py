@@ -373,7 +373,7 @@ class _Tiler:
             for k in (low - 1, high)
         )
         ways, least = self._ways_below(low), np.ascontiguousarray(self._least[:, :, low])
-        layer = Covering(free, below, above, ways, least)
+        layer = tuple(Covering(free, below, above, ways, least))
         out = self._out[slab]
         corner = self.rng.random(2) < 0.5
         cells = np.argwhere(free)
