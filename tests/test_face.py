@@ -16,7 +16,7 @@ import pytest
 import learn2assemble as l2a
 from learn2assemble.errors import InputError
 from learn2assemble.files import claim_folder
-from learn2assemble.tasks.task import DESIGN_TASKS, GOAL_TASKS, PRESETS
+from learn2assemble.tasks.task import DESIGN_TASKS, GOAL_TASKS, HIDDEN_TASKS, PRESETS
 
 ROOT = Path(__file__).resolve().parents[1]
 HEAVY = {"torch", "numba", "mujoco", "gymnasium", "matplotlib", "rich", "scipy", "shapely"}
@@ -58,7 +58,7 @@ def test_what_should_be_quick_loads_nothing_heavy(code: str) -> None:
     assert not (HEAVY - allowed) & set(loaded)
 
 
-_ALL = (*PRESETS, *DESIGN_TASKS, *GOAL_TASKS)
+_ALL = (*PRESETS, *DESIGN_TASKS, *GOAL_TASKS, *HIDDEN_TASKS)
 
 
 def test_importing_patches_no_loader() -> None:

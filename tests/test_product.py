@@ -100,6 +100,7 @@ LEARNS = {
     "measure-builds": [],
     "measure-designs": [],
     "measure-goals": [],
+    "measure-hidden": [],
     "measure-sensing": [],
     "measure-speed": [],
     "measure-structures": [],

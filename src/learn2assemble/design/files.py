@@ -10,7 +10,6 @@ from typing import Any
 
 from learn2assemble.assembly.blocks import check_count
 from learn2assemble.assembly.bricks.files import is_of_bricks
-from learn2assemble.assembly.files import NAME, meshes_in
 from learn2assemble.design.reading import FOLDER
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.files import (
@@ -63,6 +62,8 @@ def open_design(path: str | Path, names: Collection[str] = ()) -> DesignFile:
     if names and alone and not (path.exists() or nearest(path)):
         raise UnknownNameError("design", str(path), names)
     if path.is_dir():
+        from learn2assemble.assembly.files import NAME, meshes_in  # It loads much.
+
         if not (path / NAME).is_file():
             meshes_in(path, printable(str(path)))
         return DesignFile(path.name, printable(str(path)), FOLDER, b"", folder=path)
