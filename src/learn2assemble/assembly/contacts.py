@@ -24,6 +24,8 @@ TOLERANCE = 5e-3
 """Width of a gap that counts as contact, in the edge of a cube as large as the smaller block."""
 _ANGLE = 1e-2
 """Between normals of two facets in contact [rad]; warped facets have more."""
+_NARROWEST, _WIDEST = 1e-3, 1.5
+"""Of the angle of friction about a normal: less is none, more is any direction [rad]."""
 _MOST_PAIRS = 4_000_000
 """Of facets looked at together."""
 
@@ -47,6 +49,22 @@ class Contacts(NamedTuple):
     """float64[C, 3]: corners of the hulls [m, world]."""
     patch: np.ndarray
     """int64[C]."""
+    spread: np.ndarray
+    """float64[P]: how far from the normal that along which the blocks push may be [rad]; 0 for
+    faces. Below 0 they push in every direction so near, as :func:`widened` says."""
+
+    def friction(self, coefficient: float) -> np.ndarray:
+        """float64[C]: coefficients about the normals, for forces along whatever the blocks push.
+
+        A force within the angle of friction of a direction that is only known to be near the normal
+        is certainly possible if it is nearer to the normal by :attr:`spread`.
+        """
+        angle = np.arctan(coefficient) - self.spread
+        return np.tan(np.clip(angle, 0.0, _WIDEST))[self.patch]
+
+    def known(self, coefficient: float) -> Contacts:
+        """The patches that can push for certain with this coefficient of friction."""
+        return self.only(self.spread <= max(np.arctan(coefficient) - _NARROWEST, 0.0))
 
     @property
     def start(self) -> np.ndarray:
@@ -64,6 +82,7 @@ class Contacts(NamedTuple):
             self.area[keep],
             self.points[corner],
             number[self.patch[corner]],
+            self.spread[keep],
         )
 
 
@@ -84,7 +103,8 @@ def shrunk(contacts: Contacts, distance: float) -> Contacts:
     corners = np.concatenate([*rings, np.empty((0, 2))])
     points = foot[left][patch] + np.einsum("kji,kj->ki", basis[left][patch], corners)
     area = shapely.area(shapes[left])
-    return Contacts(contacts.a[left], contacts.b[left], contacts.normal[left], area, points, patch)
+    a, b, normal, spread = contacts.a, contacts.b, contacts.normal, contacts.spread
+    return Contacts(a[left], b[left], normal[left], area, points, patch, spread[left])
 
 
 class _Facets(NamedTuple):
@@ -140,7 +160,7 @@ def find_contacts(assembly: Assembly, tolerance: float | None = None) -> Contact
 
 def add_point_contacts(
     assembly: Assembly, contacts: Contacts, tolerance: float | None = None
-) -> tuple[Contacts, np.ndarray]:
+) -> Contacts:
     """Add contacts of edges and vertices, between blocks that share no patch of faces.
 
     Args:
@@ -149,8 +169,8 @@ def add_point_contacts(
         tolerance: as in :func:`find_contacts`; by default ``point_contacts.LOOSE`` times as wide.
 
     Returns:
-        All contacts, the given ones first, and bool[P]: whether the normal of each is known.
-        Patches of points and lines have no area and fewer than three corners.
+        All contacts, the given ones first. Patches of points and lines have no area and fewer than
+        three corners.
     """
     width = _width(assembly, tolerance) * (point_contacts.LOOSE if tolerance is None else 1.0)
     blocks = assembly.blocks
@@ -166,10 +186,8 @@ def add_point_contacts(
     if not support.any():
         lying = np.isin(np.arange(count), contacts.b[contacts.a == GROUND])
         found += point_contacts.on_ground(blocks, np.flatnonzero(~lying), width)
-    certain = np.ones(len(contacts.a) + len(found), bool)
     if not found:
-        return contacts, certain
-    certain[len(contacts.a) :] = [patch.certain for patch in found]
+        return contacts
     sizes = [len(patch.points) for patch in found]
     more = Contacts(
         np.array([patch.a for patch in found]),
@@ -178,18 +196,24 @@ def add_point_contacts(
         np.zeros(len(found)),
         np.concatenate([patch.points for patch in found]),
         len(contacts.a) + np.repeat(np.arange(len(found)), sizes),
+        np.array([patch.spread for patch in found]),
     )
-    return Contacts(*map(np.concatenate, zip(contacts, more, strict=True))), certain
+    return Contacts(*map(np.concatenate, zip(contacts, more, strict=True)))
 
 
 def widened(contacts: Contacts, distance: float) -> Contacts:
-    """The contacts with every corner replaced by eight round it at ``distance`` [m], in the plane
-    of its patch: all that corners known to that distance can be."""
+    """All that contacts whose corners are known to a distance [m] can be.
+
+    Every corner is replaced by eight round it in the plane of its patch, and the blocks push along
+    all directions along which they may.
+    """
     angle = np.arange(8) * np.pi / 4
     ring = distance * np.stack([np.cos(angle), np.sin(angle)], 1)
     offsets = np.einsum("ki,pij->pkj", ring, across(contacts.normal))[contacts.patch]
     points = (contacts.points[:, None] + offsets).reshape(-1, 3)
-    return contacts._replace(points=points, patch=np.repeat(contacts.patch, 8))
+    return contacts._replace(
+        points=points, patch=np.repeat(contacts.patch, 8), spread=-np.abs(contacts.spread)
+    )
 
 
 def check_overlaps(assembly: Assembly, tolerance: float | None = None) -> None:
@@ -386,7 +410,8 @@ def _patches(facets: _Facets, first: np.ndarray, second: np.ndarray) -> Contacts
     rings, patch = rings[~last], patch[~last]
     total = np.add.reduceat(area[order], start) if len(start) else area
     corners = foot[heads[patch]] + np.einsum("ki,kij->kj", rings, basis[heads[patch]])
-    return Contacts(block_a[heads], block_b[heads], normal[heads], total, corners, patch)
+    a, b, known = block_a[heads], block_b[heads], np.zeros(len(heads))
+    return Contacts(a, b, normal[heads], total, corners, patch, known)
 
 
 def _same_plane(
@@ -421,7 +446,8 @@ def _on_ground(facets: _Facets) -> Contacts:
     points = np.column_stack([flat[~last], np.zeros((~last).sum())])
     up = np.tile([0.0, 0.0, 1.0], (len(block), 1))
     area = np.bincount(patch, facets.area[face], minlength=len(block))
-    return Contacts(np.full(len(block), GROUND), block, up, area, points, owner[~last])
+    ground, known = np.full(len(block), GROUND), np.zeros(len(block))
+    return Contacts(ground, block, up, area, points, owner[~last], known)
 
 
 def _separates(facets: _Facets, faces: slice, block: Block, other: Block, tolerance: float) -> bool:

@@ -25,8 +25,8 @@ LOOSE = 2.0
 or that a simulation settled leave bodies that touch at a point farther apart than faces."""
 _PARALLEL = 1e-3
 """Sine of the angle below which two edges have no normal in common."""
-_TURNED = 0.1
-"""Angle between planes that separate equally well, above which no normal is known [rad]."""
+_ROUNDS = 100
+"""In which the middle of more than two normals is found."""
 
 
 class PointPatch(NamedTuple):
@@ -36,11 +36,11 @@ class PointPatch(NamedTuple):
     """Index of the block that pushes back, or -1 for the ground."""
     b: int
     normal: np.ndarray
-    """float64[3]: unit, from ``a`` to ``b``."""
+    """float64[3]: unit, from ``a`` to ``b``, in the middle of those that are possible."""
     points: np.ndarray
     """float64[k, 3]: corners [m, world]."""
-    certain: bool
-    """Whether there is only one normal."""
+    spread: float
+    """Angle to the farthest of the possible normals [rad]; a right one where none is known."""
 
 
 class _PointSolid(NamedTuple):
@@ -80,7 +80,7 @@ def on_ground(blocks: Sequence[Block], indices: np.ndarray, width: np.ndarray) -
         if len(low):
             flat = _corners(_hull(low[:, :2]))
             points = np.column_stack([flat, np.zeros(len(flat))])
-            found.append(PointPatch(-1, k, np.array([0.0, 0.0, 1.0]), points, True))
+            found.append(PointPatch(-1, k, np.array([0.0, 0.0, 1.0]), points, 0.0))
     return found
 
 
@@ -110,7 +110,7 @@ def _apart(one: _PointSolid, two: _PointSolid, axes: np.ndarray) -> np.ndarray:
 
 def _touch(
     one: _PointSolid, two: _PointSolid, width: float
-) -> tuple[np.ndarray, np.ndarray, bool] | None:
+) -> tuple[np.ndarray, np.ndarray, float] | None:
     axes = np.concatenate([one.normals, -two.normals])
     apart = _apart(one, two, axes)
     if apart.max() > width:
@@ -143,9 +143,26 @@ def _touch(
         shared = shapely.centroid(line)
     flat = _corners(shared.convex_hull)
     points = flat @ basis + (top + bottom) / 2 * normal
-    rivals = axes[apart > apart[best] - width / 2] @ normal
-    certain = bool(apart[best] >= -width and rivals.min() > np.cos(_TURNED))
-    return normal, points, certain
+    middle, spread = _middle(axes[apart > apart[best] - width / 2])
+    # So deep in one another they may have come from anywhere.
+    return middle, points, spread if apart[best] >= -width else np.pi / 2
+
+
+def _middle(axes: np.ndarray) -> tuple[np.ndarray, float]:
+    """The middle of some unit vectors float64[n, 3], and the angle to the farthest [rad]."""
+    first, second = divmod(int(np.argmin(axes @ axes.T)), len(axes))
+    middle = axes[first] + axes[second]
+    for k in range(_ROUNDS):
+        size = np.linalg.norm(middle)
+        if size < 1e-6:
+            return axes[first], np.pi  # They point against one another.
+        middle = middle / size
+        farthest = axes[np.argmin(axes @ middle)]
+        if k == 0 and middle @ farthest > middle @ axes[first] - 1e-9:
+            break  # The two that are farthest apart have all others between them.
+        middle = middle + (farthest - middle) / (k + 3)
+    cosine = float((axes @ middle).min() / np.linalg.norm(middle))
+    return middle / np.linalg.norm(middle), float(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def _hull(points: np.ndarray) -> BaseGeometry:

@@ -82,7 +82,7 @@ class Structure:
         }
         if self._pressing(frozenset(last)) is None:
             # Edges and points carry.
-            self.contacts, _ = add_point_contacts(job.assembly, self.contacts)
+            self.contacts = add_point_contacts(job.assembly, self.contacts)
             self._take_up()
             self.leans = True
         standing: set[int] = set()
@@ -146,7 +146,7 @@ class Structure:
         from learn2assemble.statics.rigid_blocks import solve
 
         present = self._state(standing).present
-        for contacts in (self.lying, self.contacts):
+        for contacts in (self.lying, self.contacts.known(self.job.friction)):
             if solve(self.job.assembly, contacts, self.job.friction, present=present).stands:
                 return contacts
         return None

@@ -98,7 +98,9 @@ def plan_assembly(
     widest = value_range(gap, 0.0, "gap")[1]
     joints = Joints(assembly)
     _check_props(assembly, joints)
-    layers = contact_layers(assembly.blocks, joints.faces, lambda: joints.every[0], widest)
+    layers = contact_layers(
+        assembly.blocks, joints.faces, lambda: joints.every.known(ends[0]), widest
+    )
     # Joints that may open are not filled.
     mortar = assembly.holds and not widest
     problem = OrderProblem(assembly, layers, tuple(sorted(set(ends))), mortar=mortar)
@@ -123,7 +125,7 @@ def plan_assembly(
 def _check_props(assembly: Assembly, joints: Joints) -> None:
     """Refuse props that stand on nothing."""
     loose = {k for k, block in enumerate(assembly.blocks) if block.prop}
-    for find in (lambda: joints.faces, lambda: joints.every[0]):
+    for find in (lambda: joints.faces, lambda: joints.every):
         if not loose:
             return
         contacts = find()
@@ -141,7 +143,8 @@ def contact_layers(
 
     Args:
         faces: contacts of faces of these blocks.
-        every: those of edges and points, too; not looked for where there are gaps.
+        every: those of edges and points, too, that can push for certain; not looked for where there
+            are gaps.
         gap: width to which vertical joints may open [m].
 
     Raises:

@@ -116,7 +116,10 @@ class System:
         ]
         self.radius: np.ndarray = np.array(reach) / self._length
         self._frame = corner_frames(contacts)
-        self.upright: bool = bool((np.abs(contacts.normal[:, 2]) > 1 - 1e-6).all())
+        level = (np.abs(contacts.normal[:, 2]) > 1 - 1e-6) & (contacts.spread == 0)
+        self.upright: bool = bool(level.all())
+        """Whether all joints are level, and known to be."""
+        self._contacts = contacts
         soft = corner_softness(contacts, self._length)
         self._soft, points = soft, contacts.points
         self._bodies = np.stack(
@@ -191,14 +194,14 @@ class System:
     def nearest(self, friction: float) -> np.ndarray | None:
         """Forces float64[corners, 3] in Coulomb's cone that balance everything; None where none
         were found, which proves nothing."""
-        near, limit = np.zeros((self.corners, 3)), np.full(self.corners, friction)
+        near, limit = np.zeros((self.corners, 3)), self._contacts.friction(friction)
         load = self.weight.reshape(-1, 6)
         found, answer = self.joined.nearest(load, limit, near, BALANCED)
         return answer.forces if found else None
 
     def least_holding(self, friction: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """RBE: forces [corners, 3], holding forces [count], motion [count, 6]."""
-        cone, parts = _cones(self.corners, friction)
+        cone, parts = _cones(self._contacts.friction(friction))
         # A little elastic energy chooses among the forces where there are many.
         return self._with_holding(
             1e-6 * np.repeat(self._soft, 3), 1.0, cone, np.zeros(3 * self.corners), parts
@@ -212,7 +215,7 @@ class System:
         Args:
             forces: of RBE, float64[corners, 3], to look for it from.
         """
-        joined, limit = self.joined, np.full(self.corners, friction)
+        joined, limit = self.joined, self._contacts.friction(friction)
         terms = self.weight.reshape(-1, 6), limit, stiffness, BALANCED_COUPLED
         found = False
         if forces is None:
@@ -235,7 +238,7 @@ class System:
             (corners, 3 * corners),
         )
         limits = np.zeros(4 * corners)
-        limits[corners::3] = friction * np.maximum(forces[:, 0], 0)
+        limits[corners::3] = self._contacts.friction(friction) * np.maximum(forces[:, 0], 0)
         parts = [_conic.NonnegativeConeT(corners), *[_conic.SecondOrderConeT(3)] * corners]
         return self._with_holding(soft, _EXACT, sp.vstack([pick, disc]), limits, parts)
 
@@ -292,7 +295,7 @@ class System:
             float64[pairs], that component.
         """
         pairs, corners = len(price), self.corners
-        dual = sp.diags(np.tile([1.0, friction, friction], corners)) @ self.balance.T
+        dual = self._slides(friction) @ self.balance.T
         most = sp.kron(sp.identity(pairs), np.ones((6, 1)))
         rows = [[sp.csr_matrix(self.weight), None], [jump, -most], [-jump, -most], [-dual, None]]
         matrix = sp.bmat(rows).tocsc()
@@ -306,6 +309,11 @@ class System:
             return None
         return np.abs(jump @ np.array(answer.x)[:count]).reshape(-1, 6).max(1)
 
+    def _slides(self, friction: float) -> Any:
+        """Scales a motion at the corners so that Coulomb's cone becomes one of a right angle."""
+        limit = self._contacts.friction(friction)
+        return sp.diags(np.stack([np.ones_like(limit), limit, limit], 1).reshape(-1))
+
     def load_program(
         self, friction: float
     ) -> Callable[[np.ndarray], tuple[np.ndarray, float] | None]:
@@ -318,7 +326,7 @@ class System:
         works least against hands, which hold back what their bounds allow.
         """
         corners = self.corners
-        moves = (sp.diags(np.tile([1.0, friction, friction], corners)) @ self.balance.T).tocsr()
+        moves = (self._slides(friction) @ self.balance.T).tocsr()
         if friction > 0:
             cones = [_conic.SecondOrderConeT(3)] * corners
         else:
@@ -415,7 +423,7 @@ def balancing_forces(
     filled[matrix.indices] = True
     if np.abs(load[~filled]).max(initial=0.0) > 0 or not corners:
         return None
-    cone, parts = _cones(corners, friction)
+    cone, parts = _cones(np.full(corners, friction))
     whole = sp.csc_matrix(sp.vstack([matrix, cone]))
     bound = np.concatenate([load, np.zeros(cone.shape[0])])
     energy = sp.diags(np.repeat(soft * 1e-3, 3))
@@ -423,16 +431,24 @@ def balancing_forces(
     return None if answer is None else np.array(answer.x).reshape(-1, 3)
 
 
-def _cones(corners: int, friction: float) -> tuple[Any, list]:
-    """Coulomb's law: the negated rows of forces, and the cones they are in."""
-    if friction > 0:
-        rows = sp.diags(np.tile([friction, 1.0, 1.0], corners))
-        return -rows, [_conic.SecondOrderConeT(3)] * corners
-    # A cone without interior would stall the solver.
+def _cones(friction: np.ndarray) -> tuple[Any, list]:
+    """Coulomb's law: the negated rows of forces, and the cones they are in.
+
+    Args:
+        friction: float64[corners], coefficients.
+    """
+    corners = len(friction)
     order = np.arange(3 * corners).reshape(corners, 3)
-    order = np.concatenate([order[:, 0], order[:, 1:].reshape(-1)])
-    parts = [_conic.NonnegativeConeT(corners), _conic.ZeroConeT(2 * corners)]
-    return -sp.csr_matrix(sp.identity(3 * corners))[order], parts
+    # A cone without interior would stall the solver.
+    smooth, rough = order[friction <= 0], order[friction > 0]
+    scale = np.ones((corners, 3))
+    scale[:, 0] = np.where(friction > 0, friction, 1.0)
+    rows = np.concatenate([smooth[:, 0], smooth[:, 1:].reshape(-1), rough.reshape(-1)])
+    parts = [_conic.SecondOrderConeT(3)] * len(rough)
+    if len(smooth):
+        flat = [_conic.NonnegativeConeT(len(smooth)), _conic.ZeroConeT(2 * len(smooth))]
+        parts = [*flat, *parts]
+    return -sp.csr_matrix(sp.diags(scale.reshape(-1)))[rows], parts
 
 
 def _run(

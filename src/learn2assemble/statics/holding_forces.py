@@ -209,6 +209,7 @@ def _of_bricks(
         np.zeros(len(order)),
         xyz,
         np.repeat(np.arange(len(counts)), counts),
+        np.zeros(len(order)),
     )
     columns = joined(parts)
     return Forces(columns, joined(preload), contacts, _bearing(columns, contacts))

@@ -154,8 +154,9 @@ class ByLoads:
 
     @staticmethod
     def fits(contacts: Contacts) -> bool:
-        """Whether all contacts are level."""
-        return bool((np.abs(contacts.normal[:, 2]) > _LEVEL).all())
+        """Whether all contacts are level, and known to be."""
+        level = (np.abs(contacts.normal[:, 2]) > _LEVEL) & (contacts.spread == 0)
+        return bool(level.all())
 
     def stands(self, state: State, thorough: bool = True) -> bool:
         placed = self._placed(state)

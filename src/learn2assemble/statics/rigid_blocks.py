@@ -16,6 +16,7 @@ import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, check_friction
 from learn2assemble.assembly.contacts import (
+    GROUND,
     Contacts,
     add_point_contacts,
     check_overlaps,
@@ -54,6 +55,8 @@ _FIRST = np.pi / 8 + np.pi / 2 * np.arange(4)
 halfway between, so that each finds a corner of the set of accelerations."""
 NO_MARGIN = 1e-4
 """Sideways acceleration [g] below which there is none to speak of."""
+_STEEP = 0.1
+"""Of a force, the least angle with the plane of a joint at which a fall may be proven [rad]."""
 _LOADS = (4, 40, 30_000)
 """Of a margin: fewest and most directions, and corners times directions in between."""
 
@@ -213,11 +216,11 @@ class Joints:
         self.support: np.ndarray = np.array([block.support for block in assembly.blocks])
         touched = self.support[self.faces.a] != self.support[self.faces.b]
         self.supported: bool = bool((touched | (self.faces.a < 0)).any() or self.support.all())
-        _check_supported(assembly, self.faces if self.supported else self.every[0])
+        _check_supported(assembly, self.faces if self.supported else self.every)
 
     @cached_property
-    def every(self) -> tuple[Contacts, np.ndarray]:
-        """All contacts, those of faces first, and bool[P]: whether the normal of each is known."""
+    def every(self) -> Contacts:
+        """All contacts, those of faces first."""
         return add_point_contacts(self.assembly, self.faces, self.tolerance)
 
     def decide(self, friction: float, present: np.ndarray | None = None) -> Decision:
@@ -226,15 +229,11 @@ class Joints:
         if self.supported and found.result.stands:
             return found
         # Edges and points are looked at only where faces do not carry: what these hold stands.
-        every, known = self.every
+        every = self.every
         if self.supported and len(every.a) == len(self.faces.a):
             return found
-        found = self._on(every, friction, present)
-        if present is not None:
-            known = known | ~present[every.b] | ((every.a >= 0) & ~present[every.a])
-        certain = found.result.stands or (
-            known.all() and self._falls_anyhow(every, friction, present)
-        )
+        found = self._on(every.known(friction), friction, present)
+        certain = found.result.stands or self._falls_anyhow(every, friction, present)
         return found if certain else found._replace(verdict=UNCERTAIN)
 
     def _on(self, contacts: Contacts, friction: float, present: np.ndarray | None) -> Decision:
@@ -249,7 +248,12 @@ class Joints:
     def _falls_anyhow(
         self, contacts: Contacts, friction: float, present: np.ndarray | None
     ) -> bool:
-        """Whether no forces hold it wherever within the tolerance its points of contact lie."""
+        """Whether no forces hold it wherever within the tolerance its points of contact lie, and
+        along whatever direction that may be theirs they push."""
+        if present is not None:
+            contacts = contacts.only(present[contacts.b] & ((contacts.a < 0) | present[contacts.a]))
+        if (np.arctan(friction) + contacts.spread).max(initial=0.0) >= np.pi / 2 - _STEEP:
+            return False  # They may push in any direction.
         reach = self.tolerance or float(contact_tolerance(self.assembly.blocks).max())
         wide = widened(contacts, 2 * reach)
         found = solve(self.assembly, wide, friction, present=present, coupled=False)
@@ -287,7 +291,8 @@ def pressed_patches(contacts: Contacts, present: np.ndarray | None = None) -> np
     """bool[P]: patches that weight presses together, without tight joints.
 
     These are all that are not vertical, and vertical ones between blocks that lean on others, too,
-    as at the crown of an arch: such blocks are wedges, and sink until their joints press.
+    as at the crown of an arch: such blocks are wedges, and sink until their joints press. So does a
+    block that rests on an edge or a point and on no face: it turns until it leans on something.
 
     Args:
         contacts: of an assembly.
@@ -298,7 +303,16 @@ def pressed_patches(contacts: Contacts, present: np.ndarray | None = None) -> np
     if present is not None:
         leaning &= present[contacts.b] & present[np.maximum(contacts.a, 0)]
     wedges = np.concatenate([contacts.a[leaning], contacts.b[leaning]])
-    return (upright > SIDE) | (np.isin(contacts.a, wedges) & np.isin(contacts.b, wedges))
+    pressed = (upright > SIDE) | (np.isin(contacts.a, wedges) & np.isin(contacts.b, wedges))
+    flat = contacts.area > 0
+    if flat.all():
+        return pressed
+    on_edges, on_faces = (
+        np.concatenate([contacts.a[bed], contacts.b[bed]])
+        for bed in ((upright > SIDE) & ~flat, (upright > SIDE) & flat)
+    )
+    turning = np.setdiff1d(on_edges, np.append(on_faces, GROUND))
+    return pressed | (~flat & (np.isin(contacts.a, turning) | np.isin(contacts.b, turning)))
 
 
 def solve(

@@ -148,6 +148,8 @@ class States:
                 self.near[a].add(b)
                 self.near[b].add(a)
         count = len(blocks)
+        self.limit: dict[float, np.ndarray] = {mu: contacts.friction(mu) for mu in self.friction}
+        """float64[C]: coefficients at the corners."""
         self._motion = {mu: np.zeros((count, 6)) for mu in self.friction}
         self._last = State(self._fixed.copy(), np.zeros(count, bool))
         self._springs = STIFFNESS[0]
@@ -164,7 +166,7 @@ class States:
         if 2 * len(near) < len(free):
             # Forces that balance everything balance these blocks, too, whatever bears the others.
             joined, corners = self.part(state, near)
-            limit = np.full(len(corners), self.friction[0])
+            limit = self.limit[self.friction[0]][corners]
             load, zero = self.weight(near), np.zeros((len(corners), 3))
             if not joined.nearest(load, limit, zero, BALANCED)[0]:
                 return False
@@ -216,7 +218,7 @@ class States:
         """Blocks that move first in a state that does not stand."""
         free = self.free(state)
         joined, corners = self.part(state, free)
-        limit = np.full(len(corners), self.friction[0])
+        limit = self.limit[self.friction[0]][corners]
         load = self.weight(free)
         found, answer = joined.nearest(load, limit, np.zeros((len(corners), 3)), BALANCED)
         if found:
@@ -320,7 +322,7 @@ class States:
     ) -> _JointMotion | None:
         """A motion at which forces of the coupled law balance some blocks, or None."""
         joined, corners = part
-        load, limit = self.weight(blocks), np.full(len(corners), friction)
+        load, limit = self.weight(blocks), self.limit[friction][corners]
         # Joints like those of the last state come first: its motions are theirs.
         springs = sorted(STIFFNESS, key=lambda ratio: ratio != self._springs)
         still, zero = np.zeros_like(start), np.zeros((len(corners), 3))
@@ -422,7 +424,7 @@ class Pushes:
         near = other[corners]
         other[corners] = 0.0
         load = (self._load(k, level) - self.states.loads(other))[blocks]
-        limit, held = np.full(len(corners), self.friction), blocks[joined.hands.body]
+        limit, held = self.states.limit[self.friction][corners], blocks[joined.hands.body]
         terms = load, limit, near, 0.5 * BALANCED, None, self.wrenches[k][held]
         found, answer = joined.nearest(*terms)
         if found:
