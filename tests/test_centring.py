@@ -154,6 +154,7 @@ def test_what_touches_at_a_corner_shuts_no_way(corners: int, free: bool) -> None
         area=np.zeros(1),
         points=np.array([[0.1, 0.1, 0.05]] * corners),
         patch=np.full(corners, len(contacts.a)),
+        spread=np.zeros(1),
     )
     both = Contacts(*map(np.concatenate, zip(contacts, corner, strict=True)))
     ways = FreeWays(blocks, both, 1e-4, len(blocks))

@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from learn2assemble.assembly.blocks import Assembly, Block, box_block
+from learn2assemble.assembly.blocks import Assembly, Block, box_block, hull_block
+from learn2assemble.assembly.contacts import across
 from learn2assemble.assembly.files import from_json
+from learn2assemble.assembly.point_contacts import middle_of
 from learn2assemble.planning.given import plan_assembly
-from learn2assemble.statics.rigid_blocks import FALLS, STANDS, UNCERTAIN, check
+from learn2assemble.statics.rigid_blocks import FALLS, STANDS, UNCERTAIN, Check, check
 
 _LINES = (Path(__file__).parent / "data" / "point_contacts.jsonl").read_text().splitlines()
 SAMPLES = {document["name"]: from_json(document) for document in map(json.loads, _LINES)}
@@ -116,3 +118,61 @@ def test_crossed_edges_touch_at_points() -> None:
     np.testing.assert_allclose(np.abs(edges.normal[:, 2]), 1.0, atol=1e-9)
     np.testing.assert_allclose(np.sort(edges.points[:, 0]), [-0.2, 0.2], atol=1e-9)
     assert "falls for certain" not in answer.proof, "within the tolerance it is balanced"
+
+
+def _possible_normals(answer: Check, patch: int, count: int = 64) -> np.ndarray:
+    """float64[count, 3]: unit vectors at the largest angle from the normal of a patch."""
+    normal, spread = answer.contacts.normal[patch], answer.contacts.spread[patch]
+    u, v = across(normal[None])[0]
+    angle = 2 * np.pi * np.arange(count)[:, None] / count
+    return np.cos(spread) * normal + np.sin(spread) * (np.cos(angle) * u + np.sin(angle) * v)
+
+
+@pytest.mark.parametrize("name", ["roof-0", "roof-1", "stones-0"])
+def test_forces_are_possible_along_whatever_direction_a_contact_pushes(name: str) -> None:
+    """Of two ridges that touch, planes of many directions separate the slabs."""
+    roof = SAMPLES[f"settled/{name}"]
+    answer = check(roof)
+    contacts = answer.contacts
+    spread = np.flatnonzero(contacts.spread > np.radians(1))
+    assert len(spread)
+    for patch in spread:
+        forces = answer.forces[contacts.patch == patch]
+        assert np.linalg.norm(forces, axis=1).max() > 0
+        for normal in _possible_normals(answer, int(patch)):
+            along = forces @ normal
+            aside = np.linalg.norm(forces - along[:, None] * normal, axis=1)
+            size = np.linalg.norm(forces, axis=1)
+            assert (aside <= roof.friction * along + 1e-6 * size.max()).all()
+
+
+@pytest.mark.parametrize("friction", [0.55, 0.7, 0.9])
+def test_what_stands_only_along_one_of_many_directions_is_not_certain(friction: float) -> None:
+    """Edges of a roof with a right angle push within 45 degrees of level, so friction has to
+    hold what is pushed along the steepest of them: its angle is 45 degrees at 1."""
+    slabs = []
+    for name, side in (("left", -1.0), ("right", 1.0)):
+        along, across_ = np.array([-side, 1.0]), np.array([side, 1.0])
+        foot = np.array([side * 0.5, 0.0])
+        ends = [foot + t * along + h * across_ for t in (0.0, 0.5) for h in (0.0, 0.05)]
+        corners = [(x, y, z) for x, z in ends for y in (-0.1, 0.1)]
+        slabs.append(hull_block(name, corners))
+    answer = check(Assembly(tuple(slabs), friction=friction))
+    assert answer.verdict == UNCERTAIN
+    assert check(Assembly(tuple(slabs), friction=0.3)).verdict == FALLS
+    wide = check(Assembly(tuple(slabs), friction=1.1))
+    assert wide.verdict == STANDS
+    ridge_ = wide.contacts.a >= 0
+    np.testing.assert_allclose(wide.contacts.spread[ridge_], np.pi / 4, atol=1e-3)
+
+
+def test_the_middle_of_directions_is_as_far_from_the_farthest_as_said() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(200):
+        axes = rng.normal(size=(rng.integers(1, 9), 3)) * [0.5, 0.5, 0.3] + [0, 0, 1.5]
+        axes /= np.linalg.norm(axes, axis=1)[:, None]
+        middle, spread = middle_of(axes)
+        angles = np.arccos(np.clip(axes @ middle, -1, 1))
+        np.testing.assert_allclose(angles.max(), spread, atol=1e-7)
+        apart = np.arccos(np.clip(axes @ axes.T, -1, 1)).max()
+        assert apart / 2 - 1e-6 <= spread <= apart / np.sqrt(3) + 0.03

@@ -143,12 +143,12 @@ def _touch(
         shared = shapely.centroid(line)
     flat = _corners(shared.convex_hull)
     points = flat @ basis + (top + bottom) / 2 * normal
-    middle, spread = _middle(axes[apart > apart[best] - width / 2])
+    middle, spread = middle_of(axes[apart > apart[best] - width / 2])
     # So deep in one another they may have come from anywhere.
     return middle, points, spread if apart[best] >= -width else np.pi / 2
 
 
-def _middle(axes: np.ndarray) -> tuple[np.ndarray, float]:
+def middle_of(axes: np.ndarray) -> tuple[np.ndarray, float]:
     """The middle of some unit vectors float64[n, 3], and the angle to the farthest [rad]."""
     first, second = divmod(int(np.argmin(axes @ axes.T)), len(axes))
     middle = axes[first] + axes[second]

@@ -98,9 +98,7 @@ def plan_assembly(
     widest = value_range(gap, 0.0, "gap")[1]
     joints = Joints(assembly)
     _check_props(assembly, joints)
-    layers = contact_layers(
-        assembly.blocks, joints.faces, lambda: joints.every.known(ends[0]), widest
-    )
+    layers = contact_layers(assembly.blocks, joints.faces, lambda: joints.every, widest)
     # Joints that may open are not filled.
     mortar = assembly.holds and not widest
     problem = OrderProblem(assembly, layers, tuple(sorted(set(ends))), mortar=mortar)
@@ -143,8 +141,7 @@ def contact_layers(
 
     Args:
         faces: contacts of faces of these blocks.
-        every: those of edges and points, too, that can push for certain; not looked for where there
-            are gaps.
+        every: those of edges and points, too; not looked for where there are gaps.
         gap: width to which vertical joints may open [m].
 
     Raises:

@@ -124,11 +124,10 @@ def changed_over(
     overlaps = overlapping(blocks)
     faces = _apart(find_contacts(whole), overlaps)
 
-    ends = plan.friction_range or (new.friction, new.friction)
-
     def every() -> Contacts:
-        return _apart(add_point_contacts(whole, faces).known(ends[0]), overlaps)
+        return _apart(add_point_contacts(whole, faces), overlaps)
 
+    ends = plan.friction_range or (new.friction, new.friction)
     some = {ends[0], ends[1]} if ends[1] < LARGEST else {ends[0]}
     gap = plan.gap_range[1] if plan.gap_range else 0.0
     layers = contact_layers(blocks, faces, every, gap)

@@ -117,13 +117,15 @@ class States:
 
     Args:
         assembly: blocks where they stand.
-        contacts: of that assembly; the patches that may carry.
-        friction: Coulomb coefficients at which a state has to stand.
+        contacts: of that assembly; the patches that may carry. Those whose direction is known too
+            little for the smallest of the coefficients do not.
+        friction: Coulomb coefficients at which a state has to stand, the smallest first.
     """
 
     def __init__(self, assembly: Assembly, contacts: Contacts, friction: Sequence[float]) -> None:
         self.assembly = assembly
-        self.contacts = contacts
+        self.contacts: Contacts = contacts.known(friction[0])
+        contacts = self.contacts
         self.friction: tuple[float, ...] = tuple(friction)
         blocks = assembly.blocks
         mass = np.array([block.mass for block in blocks])
