@@ -370,12 +370,16 @@ def test_packed_results_are_the_same_and_newer_ones_take_their_place(tmp_path: P
     (tmp_path / one.path).with_name("damaged.json").write_text("{")
     assert packed.pack(tmp_path / "cells") == 2
     assert [file.name for file in (tmp_path / "cells" / NAME).iterdir()] == ["damaged.json"]
-    pack = tmp_path / "cells" / f"{NAME}{packed.ENDING}"
+    pack = tmp_path / f"cells{packed.ENDING}"
     bytes_ = pack.read_bytes()
     for cell in (one, two):
         assert read_result(tmp_path / cell.path) == before[cell.path]
         assert is_current(tmp_path, cell, "hash", 2)
-    assert packed.tasks(tmp_path / "cells") == [NAME]
+    assert packed.names(tmp_path / "cells") == [
+        f"{NAME}/damaged.json",
+        *sorted(cell.path.removeprefix("cells/") for cell in (one, two)),
+    ]
+    assert packed.names(tmp_path / "cells", "two-sided") == []
     assert measured_agents(tmp_path, NAME) == {"tiny-s0", "tiny-s1"}
     # The same results, whenever they are packed, are the same file.
     for cell in (one, two):
@@ -676,9 +680,7 @@ def test_committed_pages_hold_nothing_else() -> None:
 def committed_cells() -> list[Path]:
     """Every result by the path of its file."""
     cells = ROOT / "results" / "cells"
-    return [
-        cells / task / name for task in packed.tasks(cells) for name in packed.names(cells / task)
-    ]
+    return [cells / name for name in packed.names(cells)]
 
 
 def test_committed_results_say_how_they_were_made() -> None:

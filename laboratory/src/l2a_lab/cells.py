@@ -329,9 +329,9 @@ def is_current(root: Path, cell: Cell, agent_hash: str | None, episodes: int) ->
 
 def measured_agents(root: Path, task: str) -> set[str]:
     """Names of the agents with results on ``task``."""
-    found, folder = set(), root / "cells" / task
-    for name in names(folder):
-        result = read_result(folder / name)
+    found, cells = set(), root / "cells"
+    for name in names(cells, task):
+        result = read_result(cells / name)
         if result is not None and result.cell.agent:
             found.add(result.cell.agent)
     return found

@@ -1,8 +1,9 @@
 """Packs: many results in one file, sorted lines of JSON, compressed; ``zcat`` shows one.
 
-What is measured of a cell is written to a file of its own first, so that nothing is lost when a run
-is killed; :func:`pack` then moves it into the pack of its task, ``cells/TASK.jsonl.gz``. A file of
-its own that is still there is the newer one.
+What is measured of a cell is written to a file of its own first, ``cells/TASK/NAME``, so that
+nothing is lost when a run is killed; :func:`pack` then moves it into the pack of all cells,
+``cells.jsonl.gz``, where it is called ``TASK/NAME``. A file of its own that is still there is the
+newer one.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ ENDING = ".jsonl.gz"
 
 
 def read_document(file: Path) -> str:
-    """The text of a result, of its own file or out of the pack of its task.
+    """The text of a result ``cells/TASK/NAME``, of its own file or out of the pack of the cells.
 
     Raises:
         KeyError: where it is in neither.
@@ -28,48 +29,48 @@ def read_document(file: Path) -> str:
     """
     if file.is_file():
         return file.read_text(encoding="utf-8")
-    return read_pack(_pack_of(file.parent))[file.name]
+    return read_pack(_pack_of(file.parents[1]))[f"{file.parent.name}/{file.name}"]
 
 
-def names(folder: Path) -> list[str]:
-    """Names of the results of the task of a folder ``cells/TASK``, sorted; packed ones included."""
-    packed = set(read_pack(_pack_of(folder)))
-    return sorted(packed | {file.name for file in folder.glob("*.json")})
+def names(cells: Path, task: str = "*") -> list[str]:
+    """The results below a folder ``cells`` as ``TASK/NAME``, sorted; packed ones included.
 
-
-def tasks(cells: Path) -> list[str]:
-    """Tasks with results in a folder ``cells``."""
-    packed = {file.name.removesuffix(ENDING) for file in cells.glob(f"*{ENDING}")}
-    return sorted(packed | {folder.name for folder in cells.glob("*") if folder.is_dir()})
+    Args:
+        task: of this one only.
+    """
+    packed = (name for name in read_pack(_pack_of(cells)) if task in ("*", name.split("/")[0]))
+    alone = (f"{file.parent.name}/{file.name}" for file in cells.glob(f"{task}/*.json"))
+    return sorted({*packed, *alone})
 
 
 def pack(cells: Path) -> int:
-    """Move all results that have files of their own into the packs of their tasks.
+    """Move all results that have files of their own into the pack.
 
     Args:
-        cells: folder of the folders of tasks.
+        cells: folder of the folders of tasks; it goes when nothing is left in it.
 
     Returns:
         how many were moved.
     """
-    moved = 0
-    for folder in sorted(folder for folder in cells.glob("*") if folder.is_dir()):
-        files, target = sorted(folder.glob("*.json")), _pack_of(folder)
-        if not files:
-            continue
-        found = {name: json.loads(text) for name, text in read_pack(target).items()}
-        for file in list(files):
-            try:
-                found[file.name] = json.loads(file.read_text(encoding="utf-8"))
-            except ValueError:
-                files.remove(file)  # Damaged: whoever looks for it measures it anew.
-        write_pack(target, found)
-        for file in files:
-            file.unlink()
+    files, target = sorted(cells.glob("*/*.json")), _pack_of(cells)
+    if not files:
+        return 0
+    found = {name: json.loads(text) for name, text in read_pack(target).items()}
+    moved: list[Path] = []
+    for file in files:
+        try:
+            result = json.loads(file.read_text(encoding="utf-8"))
+        except ValueError:
+            continue  # Damaged: whoever looks for it measures it anew.
+        found[f"{file.parent.name}/{file.name}"] = result
+        moved.append(file)
+    write_pack(target, found)
+    for file in moved:
+        file.unlink()
+    for folder in (*{file.parent for file in moved}, cells):
         if not any(folder.iterdir()):
             folder.rmdir()
-        moved += len(files)
-    return moved
+    return len(moved)
 
 
 def _pack_of(folder: Path) -> Path:
@@ -100,7 +101,7 @@ def write_pack(pack: Path, results: Mapping[str, Mapping[str, Any]]) -> None:
     write_file(pack, gzip.compress(text.encode(), 9, mtime=0), "results")
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=8)
 def _read(pack: Path, _: int) -> dict[str, str]:
     found = {}
     for line in gzip.decompress(pack.read_bytes()).decode().splitlines():
