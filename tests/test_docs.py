@@ -1,4 +1,4 @@
-"""What documents say can be done can be done: their commands, their Python, the names they use."""
+"""What documents and examples say can be done can be done: commands, Python, names."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from learn2assemble.cli import main
 from learn2assemble.cli.parser import L2A, make_parser
 from learn2assemble.tasks.networks.agent import agent_files
 from learn2assemble.tasks.task import PRESETS
+from scripts import ROOT, run_script
 
-ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)
 COMMAND = re.compile(r"^\s*(?:\.venv/bin/)?(l2a(?:-lab)?)\s+(.*)$", re.M)
@@ -184,3 +184,22 @@ def test_every_page_has_its_picture() -> None:
     shown = drawings.on_page_markdown("# Title\n\nText.\n", page, None, None)
     assert shown.startswith("# Title\n\n![Returns of five agents")
     assert "](../drawings/learning.svg)" in shown
+
+
+# Every script in examples runs, from any folder.
+
+EXAMPLES = ROOT / "examples"
+WORDS = {"train": ["40"], "own_network": ["200"], "evaluate": ["2"]}
+"""Arguments that make an example small."""
+SLOW = {"build_with_arm"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(path.stem, marks=[pytest.mark.slow] if path.stem in SLOW else [])
+        for path in sorted(EXAMPLES.glob("*.py"))
+    ],
+)
+def test_example_runs(name: str, tmp_path: Path) -> None:
+    assert run_script(EXAMPLES / f"{name}.py", *WORDS.get(name, []), cwd=tmp_path).strip()

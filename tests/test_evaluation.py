@@ -1,4 +1,4 @@
-"""Evaluation: metrics of scripted policies by hand, fair problems, the rate of exploration."""
+"""Evaluation: metrics of scripted policies by hand, fair problems, exploration, bounds, cells."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 import torch
 
+from learn2assemble.robot.kinematic import KinematicCell
+from learn2assemble.robot.moves import Attempt, Outcome
 from learn2assemble.tasks.episode import sample_problem
 from learn2assemble.tasks.evaluation import episodes
+from learn2assemble.tasks.evaluation.bounds import open_cells, return_bound
 from learn2assemble.tasks.evaluation.episodes import (
     BATCH,
     EVALUATION_STREAM,
@@ -20,8 +23,10 @@ from learn2assemble.tasks.evaluation.episodes import (
     run_episodes,
     search_policy,
 )
+from learn2assemble.tasks.evaluation.fidelities import compare
 from learn2assemble.tasks.learning.config import TrainConfig
 from learn2assemble.tasks.learning.trainer import TRAINING_STREAM, Trainer
+from learn2assemble.tasks.networks.agent import load_agent
 from learn2assemble.tasks.networks.config import NetworkConfig
 from learn2assemble.tasks.networks.qnetwork import QNetwork
 from learn2assemble.tasks.physics.rigid import RigidPhysics
@@ -29,7 +34,7 @@ from learn2assemble.tasks.search.config import SearchConfig
 from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.task import Task, get_task
 from learn2assemble.tasks.world.state import State
-from learn2assemble.tasks.world_model import WorldModel
+from learn2assemble.tasks.world_model import WorldModel, lookahead_actions
 
 torch.set_num_threads(1)
 
@@ -251,3 +256,71 @@ def test_batches_do_not_change_an_episode(monkeypatch: pytest.MonkeyPatch) -> No
     parts = run_episodes(TINY, policy, 30, 2)
     for name in ("R", "a", "f", "b", "success", "coverage"):
         assert getattr(whole, name) == pytest.approx(getattr(parts, name))
+
+
+# The kinematic cell against the dynamic one, on the same moves.
+
+TASK = get_task("robot-two-sided-3x3-10-14")
+
+
+def test_both_cells_judge_the_same_moves() -> None:
+    agent = load_agent("relational-two-sided-s0")
+    found = compare(TASK, agent, 8, seed=4)
+    again = compare(TASK, agent, 8, seed=4)
+    data = found.to_dict()
+    assert data["actions"] == sum(data["outcomes"].values()) == 8
+    assert data["agree"] >= 7
+    assert found.outcomes == again.outcomes
+    assert min(data["kinematic_ms"], data["dynamic_ms"]) > 0
+    assert data["share"] == found.share == data["agree"] / 8
+    assert len(data["disagreements"]) == 8 - data["agree"]
+    assert data["commit"]
+
+
+def test_a_cell_that_is_wrong_is_found_out(monkeypatch) -> None:
+    """A kinematic cell that says no to everything disagrees wherever the dynamic one succeeds."""
+    no = Attempt(Outcome.UNREACHABLE, "pick", "never")
+    monkeypatch.setattr(KinematicCell, "attempt", lambda self, scene, move: no)
+    found = compare(TASK, load_agent("relational-two-sided-s0"), 6, seed=4)
+    reached = sum(n for (_, second), n in found.outcomes.items() if second == "reached")
+    assert reached > 0
+    assert found.share == (6 - reached) / 6
+    assert len(found.to_dict()["disagreements"]) == reached
+
+
+# The upper bound on returns and the exact look-ahead.
+
+
+def test_no_play_exceeds_the_bound() -> None:
+    task = get_task("two-sided-3x3-20-24")
+    simulator = Simulator(task)
+    state = simulator.new(60, np.random.default_rng(0))
+    bound = return_bound(state, task.discount)
+    total, discount = np.zeros(60), 1.0
+    while not state.terminated.all():
+        total += discount * simulator.step(state, lookahead_actions(simulator, state)).reward
+        discount *= task.discount
+    assert (total <= bound + 1e-9).all()
+    # The look-ahead comes close, so the bound says something.
+    assert total.mean() > 0.95 * bound.mean()
+
+
+def test_open_cells_of_one_block_high_wall() -> None:
+    task = get_task("one-sided-3x3-22-24")
+    simulator = Simulator(task)
+    state = simulator.new(1, np.random.default_rng(0))
+    state.mask[:] = 0
+    # Rows 70 to 80 show heights of about 2 to 9 cm, columns 42 to 58 three blocks.
+    for row in range(76, 80):
+        state.mask[0, 0, row, 0] = ((1 << 59) - 1) & ~((1 << 42) - 1)
+    assert open_cells(state)[0] == 3 - 1
+
+
+def test_look_ahead_never_fails_on_cubes() -> None:
+    task = get_task("two-sided-4x4-20-24")
+    simulator = Simulator(task)
+    metrics = run_episodes(
+        task, lambda state, rng: lookahead_actions(simulator, state), episodes=20, seed=0
+    )
+    assert metrics.f == 0
+    assert metrics.success + metrics.b == pytest.approx(1)

@@ -42,8 +42,7 @@ from learn2assemble.tasks.world.coverage import ROWS, WORDS, add_box, clear_to_g
 from learn2assemble.tasks.world.layouts import start_objects, waiting_places
 from learn2assemble.tasks.world.state import State
 from learn2assemble.tasks.world_model import lookahead_actions
-from learning_data import look_ahead
-from pixel_data import from_pixels
+from learning_data import from_pixels, look_ahead
 
 Cell = tuple[int, int, int]
 

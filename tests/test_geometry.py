@@ -30,7 +30,7 @@ from learn2assemble.tasks.world.coverage import (
     unproject,
 )
 from learn2assemble.tasks.world.layouts import sample_outline
-from pixel_data import from_pixels
+from learning_data import from_pixels
 
 HALF = 0.025
 SIZE = 100

@@ -23,8 +23,7 @@ from learn2assemble.tasks.networks.placement import PlacementNetwork
 from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.task import Task
 from learn2assemble.tasks.world.state import State
-from learning_data import advance
-from turned import turned_graph
+from learning_data import advance, turned_graph
 
 PITCH = 0.06
 CUBES = Task(

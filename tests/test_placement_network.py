@@ -26,8 +26,7 @@ from learn2assemble.tasks.task import Task, get_task
 from learn2assemble.tasks.world.blocks import get_action_spec
 from learn2assemble.tasks.world.state import State
 from learn2assemble.tasks.world_model import WorldModel
-from learning_data import advance, random_actions
-from turned import turned_graph
+from learning_data import advance, random_actions, turned_graph
 
 _GRIPPED = Task(
     "gripped", num_sides=2, grid=3, num_nodes=16, rotations=4, action_mode="grips", pitch=0.06

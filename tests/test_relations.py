@@ -16,8 +16,7 @@ from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.task import Task
 from learn2assemble.tasks.world.coverage import pixel_vertex, unproject
 from learn2assemble.tasks.world.state import State
-from learning_data import advance
-from turned import turned_graph
+from learning_data import advance, turned_graph
 
 TASKS = {
     sides: Task(f"{sides}-sided", num_sides=sides, grid=3, num_nodes=14 + 6 * (sides - 1))

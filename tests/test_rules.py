@@ -26,7 +26,7 @@ from learn2assemble.tasks.world.rules import (
     target_cell,
 )
 from learn2assemble.tasks.world.state import State, empty_state
-from pixel_data import from_pixels
+from learning_data import from_pixels
 
 SEEDS = st.integers(0, 2**32 - 1)
 SMALL = get_task("two-sided-3x3-20-24")

@@ -1,10 +1,12 @@
-"""Builds by two arms that were stopped, or ended by force, and are gone on with from their file."""
+"""Builds by two arms of which one, or both, were stopped; they are gone on with from their file."""
 
 from __future__ import annotations
 
 import contextlib
 import io
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +16,31 @@ import pytest
 from l2a_lab.arm_distances import WatchedCell
 from l2a_lab.shapes import wall
 from l2a_lab.stopped_arm import Pressed, StoppedCell, drawn
+from learn2assemble.assembly.blocks import Assembly, box_block
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell import together
+from learn2assemble.cell.carry_out import carry_out, prepare, setup_of
 from learn2assemble.cell.crew import Member
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import plan_by_team, set_up_team
 from learn2assemble.cell.together import build_together
+from learn2assemble.cell.traffic import APART, PLANNED, Leg, Route, Traffic
 from learn2assemble.cell.workcell import Workcell
 from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
+from learn2assemble.motion.plant import Guard, Motion, Report, ToolCommand, WrappedPlant
+from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.robot.arm import Arm, get_arm
+from learn2assemble.robot.bodies import Part
+from learn2assemble.robot.capsules import capsules_of, in_hand, solid_capsules
+from learn2assemble.robot.moves import Outcome
+from learn2assemble.robot.sweeps import Sweep, clear, still, sweep
+from learn2assemble.simulation.model import Failure
+from learn2assemble.simulation.plant import DynamicPlant
 
 KIT = load_kit("bricks")
 COUNT = 10
@@ -150,3 +164,89 @@ def test_stops_are_drawn_of_the_whole_build() -> None:
     assert times.max() <= 40
     assert np.histogram(times, 4, (0, 40))[0].min() > 30
     assert drawn(200, 40.0) == found
+
+
+# An arm beside one that was stopped: what it sets out on, and what it does with what it has just
+# taken hold of.
+
+LEFT = get_arm("ur5e", "suction", (-0.42, 0.0, 0.0, 0.0))
+RIGHT = get_arm("panda", "suction", (0.42, 0.0, 0.0, np.pi))
+BRICK = (Part((0.0, 0.0, 0.0), (0.03, 0.02, 0.02)),)
+AWAY = still(solid_capsules(BRICK, np.array([0.0, 3.0, 0.0]), np.eye(3)))
+
+
+def random_joints(rng: np.random.Generator, arm: Arm) -> np.ndarray:
+    return np.clip(arm.home + rng.normal(0, 0.5, len(arm.home)), *arm.limits())
+
+
+def swept(arm: Arm, *joints: np.ndarray) -> Sweep:
+    return sweep(arm, capsules_of(arm), np.array(joints))
+
+
+def test_what_passes_somewhere_on_the_leg_of_a_stopped_arm_is_not_set_out_on() -> None:
+    rng, refused = np.random.default_rng(0), 0
+    held = in_hand(LEFT, solid_capsules(BRICK, np.array([0.0, 0.0, 0.02]), np.eye(3)))
+    for _ in range(300):
+        far, mine = random_joints(rng, RIGHT), random_joints(rng, LEFT)
+        other, ways = swept(RIGHT, RIGHT.home, far), [LEFT.home, mine, LEFT.home]
+        legs = [Leg("cross", swept(LEFT, *way)) for way in pairwise(ways)]
+        past = all(clear(leg.swept, other.end, PLANNED) for leg in legs)
+        if not past or all(clear(leg.swept, other, PLANNED) for leg in legs):
+            continue
+        traffic, route = Traffic((LEFT, RIGHT)), Route("a", held, tuple(legs), AWAY)
+        told = Motion("home", np.array([0.0, 1]), np.array([RIGHT.home, far]), np.zeros((2, 7)))
+        if not traffic.enter(1, told):
+            continue
+        # It waits for the leg to be over before it moves, as long as that will be.
+        assert traffic.fits(0, route)
+        traffic.stopped(1)
+        assert not traffic.fits(0, route)
+        refused += 1
+    assert refused >= 3
+    assert APART <= PLANNED
+
+
+class Refuses(WrappedPlant):
+    """Lets an arm lift nothing."""
+
+    told: tuple[tuple[Motion, tuple[ToolCommand, ...]], ...] = ()
+
+    def execute(
+        self,
+        motion: Motion,
+        commands: Sequence[ToolCommand] = (),
+        guards: Sequence[Guard] = (),
+    ) -> Report:
+        if motion.stage == "lift" and np.ptp(motion.joints, axis=0).any():
+            raise Failure(Outcome.UNREACHABLE, "lift", "the other arm is in the way")
+        self.told = (*self.told, (motion, tuple(commands)))
+        return self.plant.execute(motion, commands, guards)
+
+
+@pytest.mark.parametrize("tool", ["suction", "gripper"])
+def test_what_was_taken_and_not_moved_is_let_go_where_it_lies(tool: str) -> None:
+    block = box_block("block", (-0.03, -0.02, 0.0), (0.03, 0.02, 0.04), density=600.0)
+    plan = plan_assembly(Assembly((block,), friction=0.6))
+    workcell = Workcell("panda", tool)
+    found = prepare(plan, workcell, 0.0)
+    plant = Refuses(DynamicPlant(setup_of(found.job, workcell)))
+    done = carry_out(plan, workcell, joint=0.0, found=found, plant=plant)
+    assert done.arm is not None
+    details = [one.detail for one in done.arm.failures]
+    assert details
+    assert all(one.endswith("the other arm is in the way; put back") for one in details)
+    moved = [bool(np.ptp(motion.joints, axis=0).any()) for motion, _ in plant.told]
+    takes = [n for n, (_, some) in enumerate(plant.told) if any(_holds(one) for one in some)]
+    opens = [n for n, (_, some) in enumerate(plant.told) if any(_opens(one) for one in some)]
+    assert len(takes) == len(details)
+    for n in takes:
+        until = next(k for k in opens if k > n)
+        assert not any(moved[n:until])
+
+
+def _holds(command: ToolCommand) -> bool:
+    return bool(command.vacuum) or bool(command.force)
+
+
+def _opens(command: ToolCommand) -> bool:
+    return command.vacuum is False or (command.width is not None and not command.force)
