@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -100,7 +101,8 @@ def _absolute(node: ast.ImportFrom, module: str) -> str:
     return ".".join([*parents, *([node.module] if node.module else [])])
 
 
-def imports(module: str, only_on_import: bool = False) -> set[str]:
+@cache
+def imports(module: str, only_on_import: bool = False) -> frozenset[str]:
     """Full names of what a module imports; ``only_on_import`` leaves out function bodies."""
     found: set[str] = set()
 
@@ -128,7 +130,7 @@ def imports(module: str, only_on_import: bool = False) -> set[str]:
             visit(child)
 
     visit(ast.parse(MODULES[module].read_text(encoding="utf-8")))
-    return found
+    return frozenset(found)
 
 
 def _inside(name: str) -> str | None:
@@ -138,7 +140,7 @@ def _inside(name: str) -> str | None:
     return name.removeprefix(f"{PACKAGE}.") if name.startswith(f"{PACKAGE}.") else None
 
 
-def libraries(names: set[str]) -> set[str]:
+def libraries(names: frozenset[str]) -> set[str]:
     tops = {name.split(".")[0] for name in names}
     return tops - {PACKAGE} - set(sys.stdlib_module_names)
 
