@@ -31,6 +31,7 @@ from learn2assemble.motion.plant import (
 from learn2assemble.motion.setup import Disturbance, Surroundings
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.sensing.camera import DepthCamera, DepthPicture, looking
 from learn2assemble.sensing.eyes import SeeingPlant, Sort
@@ -65,6 +66,20 @@ def test_blocks_that_were_dropped_are_found_on_any_face() -> None:
     for true in (flat, side):
         assert min(np.linalg.norm(one.pose[:3] - true[:3]) for one in found) < 0.001
     assert not find(views_of(seen_by(BOTH, wall), BOTH), lost, wall)
+
+
+def test_no_block_is_found_inside_of_another() -> None:
+    """What lies on a plate shows as much of itself as a brick that is let into it would."""
+    plate, flat = (Part((0, 0, 0), (0.1, 0.1, 0.02)),), (Part((0, 0, 0), (0.04, 0.02, 0.01)),)
+    below, true = lying(0.0, 0.0, 0.0, 0.02), lying(0.01, -0.01, 0.3, 0.05)
+    views = views_of(seen_by(BOTH, [(plate, below), (flat, true)]), BOTH)
+    lost, known = [Believed("a", BRICK, None, TURNS)], [(plate, below)]
+    assert not find(views, lost, known)
+    # As long as nobody sees that the plate is there, the brick may be.
+    (found,) = find(views, lost, [], known)
+    assert found.pose[2] == pytest.approx(true[2] + 0.01 - 0.015, abs=0.001)
+    (found,) = find(views, [Believed("b", flat, None, TURNS)], known)
+    assert np.linalg.norm(found.pose[:3] - true[:3]) < 0.001
 
 
 # ---------------------------------------------------------------- tags

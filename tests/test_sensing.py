@@ -140,6 +140,32 @@ def test_what_a_picture_cannot_say_stays_open() -> None:
     assert np.linalg.norm(seen.pose[:3] - true[:3]) < 0.003
 
 
+def test_the_outline_of_a_neighbour_is_not_taken_for_that_of_a_block() -> None:
+    """A small brick beside a longer one of the same height, both seen from rather far."""
+    small: Shape = (Part((0.0, 0.0, 0.0), (0.016, 0.016, 0.00955)),)
+    long: Shape = (Part((0.0, 0.0, 0.0), (0.032, 0.016, 0.00955)),)
+    fine = DepthNoise(2e-4, 3e-4, 1e-4)
+    cameras = [
+        DepthCamera(f"{y}", (0.5, y, 0.8, *looking(np.array([-0.5, -y, -0.8]))), noise=fine)
+        for y in (0.6, -0.6)
+    ]
+    true = np.array([0.032, 0.196, 0.0478, 1.0, 0.0, 0.0, 0.0])
+    near = [
+        (long, shifted(true, [0.0, 0.0321])),
+        (small, shifted(true, [-0.0182, -0.0316])),
+        (small, shifted(true, [0.0158, -0.0317])),
+    ]
+    scene = still_scene([(small, true), *near])
+    for seed in range(6):
+        pictures = [SimulatedCamera(camera, seed=seed).look([scene]) for camera in cameras]
+        believed = Believed("a", small, shifted(true, [3e-4, 1e-4]), search=(0.004, 0.05))
+        seen = register(views_of(pictures, cameras), believed)
+        assert seen.look == Look.SEEN
+        off = off_by(seen.pose, true)
+        assert np.linalg.norm(off[:3]) < 0.002
+        assert off[:3] @ np.linalg.solve(seen.covariance[:3, :3], off[:3]) < 16
+
+
 def test_blocks_that_are_not_there_and_blocks_behind_others_are_told_apart() -> None:
     true = lying(0.0, 0.0, 0.2)
     gone = looked(CORNER, [], Believed("a", BRICK, true, TURNS))

@@ -9,6 +9,7 @@ import pytest
 
 from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
 from learn2assemble.assembly.kit import load_kit
+from learn2assemble.cell.belief import Estimate
 from learn2assemble.cell.fitting import Fitting
 from learn2assemble.cell.pieces import pieces_of
 from learn2assemble.cell.sight import FELL, MOST_LOOKS, Sight
@@ -19,6 +20,7 @@ from learn2assemble.motion.plant import BlockReading, Readings, ToolReading, Wra
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.kinematics import forward, get_chain
+from seen_scenes import shifted
 
 ARM = get_arm("panda", "gripper")
 SHARP = (3e-4, 3e-4, 1e-4, 0.006, 0.006, 0.006)
@@ -116,6 +118,34 @@ def test_what_slips_between_pads_stays_flat_against_them() -> None:
     known, spread = sight.held.estimate.pose, np.sqrt(np.diag(sight.held.estimate.covariance))
     np.testing.assert_allclose(known[:3], [0.005, 0.0, 0.0], atol=3e-4)
     assert spread[1] < 2e-4
+
+
+def test_what_comes_along_is_where_the_block_is_that_brings_it() -> None:
+    """It hangs below the block in the hand, hidden but for stray readings that say it fell."""
+    plant, sight = tower()
+    names, (place, turn) = sight.world.names, forward(get_chain(ARM), np.array(ARM.home))
+    there = np.array([*place, *matrix_quaternion(turn)])
+    beside = {k: sight.world.target(k)[:3] - sight.world.target(2)[:3] for k in (0, 1)}
+    for k, name in enumerate(names):
+        moved = np.array([*(place + turn @ beside.get(k, np.zeros(3))), *there[3:]])
+        sight.belief.put(name, sight.belief.known[name]._replace(pose=moved))
+    before = sight.belief.known[names[1]]
+    sight.taken(names[2], Attitude(), np.zeros(3), [names[1]])
+    fallen = shifted(before.pose, [0.01, 0.02, -0.03])
+    plant.seen = {names[1]: (fallen, SHARP)}
+    sight.look()
+    sight.look()
+    sight.let_go()
+    known = sight.belief.known
+    np.testing.assert_allclose(known[names[1]].pose[:3], before.pose[:3], atol=1e-6)
+    assert before.spread < known[names[1]].spread < 1e-3
+    # Knobs below say that the block is 0.2 mm farther: so is what it has brought.
+    step = np.array([2e-4, 0.0, 0.0])
+    sight.rests(names[2], Estimate(shifted(there, step), 1e-10 * np.eye(6)))
+    np.testing.assert_allclose(known[names[1]].pose[:3], before.pose[:3] + step, atol=2e-6)
+    sight.taken(names[2], Attitude(), np.zeros(3), [names[1]])
+    sight.dropped()
+    assert set(known) == {names[0]}
 
 
 def test_a_look_that_tells_nothing_is_not_repeated() -> None:

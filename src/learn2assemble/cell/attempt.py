@@ -133,7 +133,11 @@ class AttemptSenses:
         """See :class:`~learn2assemble.simulation.execution.Senses`."""
         assert self.run is not None
         move = self.run.course.plan.move
-        self.sight.taken(self.name, move.grasp, self._centre(move.cell))
+        scene = self.order.scene
+        mine = scene.object_id == scene.object_id[move.cell]
+        along = {int(k) for k in self.rows.owner[mine]} - {self.moving}
+        names = [self.sight.world.names[k] for k in sorted(along)]
+        self.sight.taken(self.name, move.grasp, self._centre(move.cell), names)
 
     def in_hand(self) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`~learn2assemble.simulation.execution.Senses`."""

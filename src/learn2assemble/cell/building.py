@@ -233,7 +233,7 @@ class Building:
         self.sight.pause = self._pause
         try:
             if lost is None:
-                self._look(k, action.group)
+                self._look(k)
         except PlantError as error:
             lost = error
         if lost is not None:
@@ -409,16 +409,13 @@ class Building:
         """Wait, standing still."""
         self.plant.execute(standing("home", self.joints, seconds))
 
-    def _look(self, k: int | None = None, group: tuple[int, ...] = ()) -> None:
+    def _look(self, k: int | None = None) -> None:
         """See where everything is.
 
         Args:
             k: a block that was moved, which has to be found.
-            group: blocks it brought along.
         """
         world = self.world
-        for n in group:
-            self.sight.belief.forget(world.names[n])
         needed = {world.names[n] for n in world.visible()} | (
             {world.names[k]} if k is not None else set()
         )

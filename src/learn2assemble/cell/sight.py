@@ -59,6 +59,8 @@ class Held(NamedTuple):
     """float64[7]: its pose in the tool frame when it was taken."""
     flush: np.ndarray
     """float64[3, 6]: what of a small motion in the tool frame would part it from pads or lip."""
+    brings: dict[str, Estimate]
+    """What it is pressed on or carries and brings along, in its own frame."""
 
 
 class Sight:
@@ -82,6 +84,8 @@ class Sight:
         self.held: Held | None = None
         self.since: dict[str, float] = {}
         """When a block was moved last; older readings say nothing of it."""
+        self.brought: dict[str, Estimate] = {}
+        """What the block that was let go last has brought along, in its frame."""
         self.last: float = -PICTURE
         self.pause: Callable[[float], Any] = lambda seconds: None
         """Waits [s], standing still."""
@@ -102,7 +106,7 @@ class Sight:
             before = self.held.estimate.spread if self.held else 0.0
             exact = self._picture()
             open_questions = bool(self.belief.rivals) or any(
-                name not in self.belief.known and not self._holds(name) for name in needed
+                name not in self.belief.known and not self._carries(name) for name in needed
             )
             spread = self.held.estimate.spread if self.held else 0.0
             rough = fine and FINE < spread < TELLS * before
@@ -124,6 +128,8 @@ class Sight:
             if self._holds(one.block):
                 if one.time >= readings.time - 1e-6:
                     self._see_held(read(one), tool)
+            elif self.held is not None and one.block in self.held.brings:
+                continue  # It goes where the block goes that it is pressed on.
             elif one.time >= self.since.get(one.block, one.time):
                 reading = read(one)
                 if not self._on_knobs(one.block, reading):
@@ -184,6 +190,9 @@ class Sight:
     def _holds(self, name: str) -> bool:
         return self.held is not None and self.held.block == name
 
+    def _carries(self, name: str) -> bool:
+        return self._holds(name) or (self.held is not None and name in self.held.brings)
+
     def feel(self) -> ToolReading:
         """What the tool feels now."""
         return self.plant.sense().tool
@@ -205,20 +214,28 @@ class Sight:
 
     # ------------------------------------------------------------ taking and letting go
 
-    def taken(self, name: str, grasp: Attitude, contact: np.ndarray) -> None:
+    def taken(
+        self, name: str, grasp: Attitude, contact: np.ndarray, along: Collection[str] = ()
+    ) -> None:
         """The tool has taken hold of a block.
 
         Args:
             name: of it.
             grasp: how.
             contact: float64[3]: middle of the part that is held, in the frame of the block [m].
+            along: names of blocks that it brings along.
         """
         tool = self._tool(self.plant.sense())
-        known = self.belief.known[name].seen_from(*tool)
+        stood = self.belief.known[name]
+        frame = stood.pose[:3], quaternion_matrix(stood.pose[3:])
+        beside = {one: self.belief.known.get(one) for one in along}
+        brings = {one: est.seen_from(*frame) for one, est in beside.items() if est is not None}
+        known = stood.seen_from(*tool)
         shift = np.diag([SHIFT**2] * 3 + [SHIFT_TURN**2] * 3)
         known = known._replace(covariance=known.covariance + shift)
-        self.belief.forget(name)
-        held = Held(name, known, known.pose, self._parting(known, grasp, contact))
+        for one in (name, *along):
+            self.belief.forget(one)
+        held = Held(name, known, known.pose, self._parting(known, grasp, contact), brings)
         # The hand was turned so that the face should lie flat: what was meant is what is measured.
         self.held = self._flat(held)
 
@@ -251,9 +268,23 @@ class Sight:
         name, known = self.held.block, self.held.estimate
         there = known.seen_in(*self._tool(readings))
         shift = np.diag([SHIFT**2] * 3 + [SHIFT_TURN**2] * 3)
-        self.held = None
+        self.brought, self.held = self.held.brings, None
         self.belief.put(name, there._replace(covariance=there.covariance + shift))
-        self.since[name] = readings.time
+        self._put_along(name)
+        self.since.update(dict.fromkeys((name, *self.brought), readings.time))
+
+    def _put_along(self, name: str) -> None:
+        """What a block has brought along is where that says."""
+        lead = self.belief.known[name]
+        turn = quaternion_matrix(lead.pose[3:])
+        for one, beside in self.brought.items():
+            there = beside.seen_in(lead.pose[:3], turn)
+            x, y, z = there.pose[:3] - lead.pose[:3]
+            onto = np.eye(6)
+            # Where it is turns with the block that brought it, about that.
+            onto[:3, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
+            covariance = there.covariance + onto @ lead.covariance @ onto.T
+            self.belief.put(one, there._replace(covariance=covariance))
 
     def rests(self, name: str, where: Estimate) -> None:
         """A touch tells where a block is that was let go, unless that contradicts what is known.
@@ -266,12 +297,15 @@ class Sight:
         where = self.belief.as_known(name, where, known)
         if self.touch and known.covariance.any() and distance(known, where) <= GATE:
             self.belief.put(name, averaged(known, where))
+            self._put_along(name)
 
     def dropped(self) -> None:
         """What was held is somewhere else."""
         if self.held is not None:
-            self.belief.forget(self.held.block)
-            self.since[self.held.block] = self.plant.sense().time
+            gone = (self.held.block, *self.held.brings)
+            for one in gone:
+                self.belief.forget(one)
+            self.since.update(dict.fromkeys(gone, self.plant.sense().time))
             self.held = None
 
     def in_hand(self) -> tuple[np.ndarray, np.ndarray]:

@@ -188,14 +188,15 @@ class SeeingPlant(WrappedPlant):
                 self.expected[name] = None
         lost = [self._believed(n, None) for n, pose in self.expected.items() if pose is None]
         if lost and views:
-            known = [
-                (self._sort(n).shape, seen[n].pose if n in seen else pose)
-                for n, pose in self.expected.items()
-                if pose is not None
-            ]
+            known, hidden = list(self.fixed), list[tuple[Shape, np.ndarray]]()
+            for name, pose in self.expected.items():
+                if pose is not None:
+                    one = seen[name]
+                    sure = known if one.look == Look.SEEN else hidden
+                    sure.append((self._sort(name).shape, one.pose))
             if self.held is None:
                 views = self._without_arm(views, readings)
-            for one in find(views, lost, [*self.fixed, *known]):
+            for one in find(views, lost, known, hidden):
                 seen[one.block] = one
         found = []
         for name, one in seen.items():

@@ -7,6 +7,7 @@ as wide as the search, so a filter keeps what it knew.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from enum import StrEnum
 from typing import NamedTuple
@@ -19,7 +20,9 @@ from learn2assemble.sensing.residuals import (
     BEYOND,
     FEW,
     MANY,
+    Faceted,
     PreparedPicture,
+    Sums,
     faceted,
     normal_equations,
 )
@@ -28,7 +31,10 @@ from learn2assemble.sensing.resting import rested
 SEARCH, SEARCH_TURN = 0.008, np.radians(6.0)
 """How far from where it is believed a block is looked for: standard deviations [m], [rad]."""
 REACH = 10
-"""Outlines are looked for so many pixels on both sides of where they are believed."""
+"""Outlines are looked for so many pixels on both sides of where they are believed, at most."""
+FARTHEST = 3.0
+"""So many standard deviations of the search from where it is believed a block may be: outlines
+farther off are those of others, and a pose that is farther off is not the block's."""
 ROUNDS, LAST_ROUNDS, LEAST_REACH = 11, 5, 4
 """So often a pose is improved; in the last rounds outlines are looked for within the same few
 pixels: a step that was made for an outline which is none at close range is taken back."""
@@ -95,29 +101,20 @@ def register(views: Sequence[PreparedPicture], believed: Believed) -> Seen:
     """
     assert believed.pose is not None
     start, shape = np.array(believed.pose, float), faceted(believed.shape)
-    place, turn = believed.search
-    prior = np.diag([1 / place**2] * 3 + [1 / turn**2] * 3)
-    pose, offset, sums = start.copy(), np.zeros(6), None
-    for number in range(ROUNDS):
-        last = number >= ROUNDS - LAST_ROUNDS
-        gate = max(BEYOND, place * 0.6**number)
-        reach = LEAST_REACH if last else max(LEAST_REACH, REACH - number)
-        sums = normal_equations(views, shape, pose, gate, reach, FEW if number < 4 else MANY)
-        if sums.counts[0] < LEAST // 4:
-            break
-        known, pull = what_is_told(sums.information, sums.gradient, prior)
-        step = np.linalg.solve(known + prior, pull - prior @ offset)
-        step[:3] = step[:3].clip(-place, place)
-        step[3:] = step[3:].clip(-2 * turn, 2 * turn)
-        pose, offset = stepped_pose(pose, step), offset + step
-        if last and np.abs(step[:3]).max() < 5e-5 and np.abs(step[3:]).max() < 1e-3:
-            break
-    assert sums is not None
-    sums = normal_equations(views, shape, pose, BEYOND, LEAST_REACH)
-    look = _looks(sums.counts, views)
-    if look == Look.SEEN and np.linalg.norm(pose[:3] - start[:3]) > 4 * place:
-        look = Look.ABSENT
+    pose, sums = _fitted(views, shape, start, believed.search)
+    look = _looks_near(sums, pose, start, believed)
+    if look != Look.SEEN:
+        # Blocks of one height that touch have outlines in common: one may be drawn to the place of
+        # its neighbour. It has left its own only if that explains more of the pictures.
+        here = normal_equations(views, shape, start, BEYOND, LEAST_REACH)
+        if _worth(here.counts) >= _worth(sums.counts):
+            pose, sums = _fitted(views, shape, start, believed.search, outlines=False)
+            look = _looks_near(sums, pose, start, believed)
+            if look != Look.SEEN:
+                sums, look = here, _looks(here.counts)
+                look = Look.HIDDEN if look == Look.SEEN else look
     worse = max(1.0, sums.squares / max(int(sums.counts[0]) - 6, 1))
+    prior = _prior(believed.search)
     known, _ = what_is_told(sums.information, sums.gradient, prior)
     covariance = np.linalg.inv(known / worse + NOTHING * prior)
     on, border, _, behind, _ = sums.counts.tolist()
@@ -129,6 +126,66 @@ def register(views: Sequence[PreparedPicture], believed: Believed) -> Seen:
         pose, covariance = stands
     pose = _nearest(pose, start, believed.turns)
     return Seen(believed.block, look, pose, covariance, on + border, behind)
+
+
+def _prior(search: tuple[float, float]) -> np.ndarray:
+    """float64[6, 6]: what a search says of a small motion."""
+    place, turn = search
+    return np.diag([1 / place**2] * 3 + [1 / turn**2] * 3)
+
+
+def _fitted(
+    views: Sequence[PreparedPicture],
+    shape: Faceted,
+    start: np.ndarray,
+    search: tuple[float, float],
+    outlines: bool = True,
+) -> tuple[np.ndarray, Sums]:
+    """The pose float64[7] near one believed that fits the pictures best, and what they say there.
+
+    Args:
+        start: float64[7], the one believed.
+        search: as :attr:`Believed.search`.
+        outlines: whether outlines count, or faces only.
+    """
+    place, turn = search
+    prior, pose, offset = _prior(search), start.copy(), np.zeros(6)
+    scale = max((view.device.focal / _depth(view, start) for view in views), default=0.0)
+    farthest = min(REACH, math.ceil(FARTHEST * place * scale))
+    for number in range(ROUNDS):
+        last = number >= ROUNDS - LAST_ROUNDS
+        gate = max(BEYOND, place * 0.6**number)
+        reach = LEAST_REACH if last else max(LEAST_REACH, min(REACH - number, farthest))
+        reach = reach if outlines else 0
+        sums = normal_equations(views, shape, pose, gate, reach, FEW if number < 4 else MANY)
+        if sums.counts[0] < LEAST // 4:
+            break
+        known, pull = what_is_told(sums.information, sums.gradient, prior)
+        step = np.linalg.solve(known + prior, pull - prior @ offset)
+        step[:3] = step[:3].clip(-place, place)
+        step[3:] = step[3:].clip(-2 * turn, 2 * turn)
+        pose, offset = stepped_pose(pose, step), offset + step
+        if last and np.abs(step[:3]).max() < 5e-5 and np.abs(step[3:]).max() < 1e-3:
+            break
+    return pose, normal_equations(views, shape, pose, BEYOND, LEAST_REACH if outlines else 0)
+
+
+def _depth(view: PreparedPicture, pose: np.ndarray) -> float:
+    """How far a place is before a camera [m]."""
+    return max(float((pose[:3] - view.device.position) @ view.device.turn[:, 2]), 0.01)
+
+
+def _worth(counts: np.ndarray) -> int:
+    """Pixels that a pose explains, less those that contradict it twice."""
+    on, border, _, behind, _ = counts.tolist()
+    return on + border - 2 * behind
+
+
+def _looks_near(sums: Sums, pose: np.ndarray, start: np.ndarray, believed: Believed) -> Look:
+    """Whether a block is where it was found, which is not too far from where it was looked for."""
+    look = _looks(sums.counts)
+    far = float(np.linalg.norm(pose[:3] - start[:3])) > FARTHEST * believed.search[0]
+    return Look.ABSENT if look == Look.SEEN and far else look
 
 
 def what_is_told(
@@ -148,7 +205,7 @@ def what_is_told(
     return onto.T @ information @ onto, onto.T @ gradient
 
 
-def _looks(counts: np.ndarray, views: Sequence[PreparedPicture]) -> Look:
+def _looks(counts: np.ndarray) -> Look:
     """Whether a block is where it was looked for, from how many pixels are what."""
     on, border, before, behind, missing = counts.tolist()
     there = on + border

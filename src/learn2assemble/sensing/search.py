@@ -16,7 +16,7 @@ from numba import njit
 
 from learn2assemble.geometry.hulls import resting_turns
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, yaw_matrix
-from learn2assemble.robot.bodies import Shape, body_of
+from learn2assemble.robot.bodies import Shape, Solid, body_of, overlaps, solids
 from learn2assemble.sensing.registration import LEAST, Believed, Look, Seen, register
 from learn2assemble.sensing.residuals import PreparedPicture, faceted, ray_meets, window_of
 
@@ -28,6 +28,8 @@ ROUGH = (0.012, 0.25)
 """How far the first guess of a pose may be off: standard deviations [m], [rad]."""
 EXPLAINS = 0.7
 """Share of the pixels of a patch that a block has to explain."""
+INTO = 0.004
+"""Bodies are not found farther in one another than this [m], beyond what poses are off."""
 
 
 class Patch(NamedTuple):
@@ -137,21 +139,25 @@ def find(
     views: Sequence[PreparedPicture],
     lost: Sequence[Believed],
     known: Sequence[tuple[Shape, np.ndarray]],
+    hidden: Sequence[tuple[Shape, np.ndarray]] = (),
 ) -> list[Seen]:
     """Where blocks are of which nothing is known.
 
     Args:
         views: pictures.
         lost: blocks; of equal shapes it does not matter which is which.
-        known: blocks whose poses are known, see :func:`patches`.
+        known: bodies that are seen where they are said to be, see :func:`patches`; no block is
+            found inside of them.
+        hidden: those of which nobody sees whether they are there.
 
     Returns:
         those that were found.
     """
-    known, left, found = list(known), list(lost), []
+    known, left, found = list(known), list(lost), list[Seen]()
     while left:
         best: tuple[int, Seen, Believed] | None = None
-        for patch in patches(views, known):
+        there = [solids(*body) for body in known]
+        for patch in patches(views, [*known, *hidden]):
             tried: set[Shape] = set()
             for one in left:
                 if one.shape in tried:
@@ -159,7 +165,7 @@ def find(
                 tried.add(one.shape)
                 for pose in guesses(one, patch):
                     seen = register(views, one._replace(pose=pose, search=ROUGH))
-                    if seen.look != Look.SEEN:
+                    if seen.look != Look.SEEN or _inside(seen, one, there):
                         continue
                     worth = seen.pixels - 2 * seen.behind
                     if worth > EXPLAINS * len(patch.points) and (not best or worth > best[0]):
@@ -167,8 +173,15 @@ def find(
         if best is None:
             return found
         seen, one = best[1:]
-        seen = register(views, one._replace(pose=seen.pose))
+        closer = register(views, one._replace(pose=seen.pose))
+        seen = seen if closer.look != Look.SEEN or _inside(closer, one, there) else closer
         known.append((one.shape, seen.pose))
         found.append(seen)
         left.remove(one)
     return found
+
+
+def _inside(seen: Seen, believed: Believed, there: Sequence[list[Solid]]) -> bool:
+    """Whether a block would be inside of other bodies where it seems to be."""
+    body = solids(believed.shape, seen.pose)
+    return any(overlaps(body, other, INTO) for other in there)
