@@ -129,11 +129,33 @@ class Fake:
         return np.array(self.until(moves=False)["joints"])
 
 
-@pytest.fixture(scope="module", params=["ur", "ros2"])
-def fake(request: pytest.FixtureRequest) -> Iterator[Fake]:
-    made = Fake(request.param)
+class Fakes:
+    """One fake controller of each kind, begun when it is first asked for: tests in any order begin
+    none twice."""
+
+    def __init__(self, rates: dict[str, float]) -> None:
+        self.rates, self.made = rates, dict[str, Fake]()
+
+    def of(self, kind: str) -> Fake:
+        if kind not in self.made:
+            self.made[kind] = Fake(kind, self.rates[kind])
+        return self.made[kind]
+
+    def close(self) -> None:
+        for fake in self.made.values():
+            fake.process.close()
+
+
+@pytest.fixture(scope="module")
+def fakes() -> Iterator[Fakes]:
+    made = Fakes(dict.fromkeys(NEEDS, RATE))
     yield made
-    made.process.close()
+    made.close()
+
+
+@pytest.fixture(params=NEEDS)
+def fake(request: pytest.FixtureRequest, fakes: Fakes) -> Fake:
+    return fakes.of(request.param)
 
 
 @pytest.fixture

@@ -28,7 +28,7 @@ from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.reports import ArmReport
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.robot.arm import get_arm
-from test_controllers import SAME, Fake, under_the_cup
+from test_controllers import SAME, Fake, Fakes, under_the_cup
 
 RATES = {"ur": 20.0, "ros2": 3.0}
 """Of the robot's clock to ours: behind ROS it is we who look at forces, so we have to be quick."""
@@ -107,11 +107,16 @@ class Cell:
         }
 
 
-@pytest.fixture(scope="module", params=["ur", "ros2"])
-def fake(request: pytest.FixtureRequest) -> Iterator[Fake]:
-    made = Fake(request.param, RATES[request.param])
+@pytest.fixture(scope="module")
+def fakes() -> Iterator[Fakes]:
+    made = Fakes(RATES)
     yield made
-    made.process.close()
+    made.close()
+
+
+@pytest.fixture(params=RATES)
+def fake(request: pytest.FixtureRequest, fakes: Fakes) -> Fake:
+    return fakes.of(request.param)
 
 
 @pytest.fixture

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,8 @@ from learn2assemble.simulation.plant import DynamicPlant
 KIT = load_kit("bricks")
 COUNT = 10
 """Blocks of the wall."""
+STOP = 0, 8.0
+"""The arm that is stopped, and when [s]."""
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +74,20 @@ def build(
     return build_together(plan, members, cell, joint=KIT.joint_gap, opened=opened), cells[0]
 
 
+@pytest.fixture(scope="module")
+def stopped(
+    planned: tuple[Plan, list[Member]], tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[int, float], tuple[Plan, StoppedCell, str]]:
+    """What came of a build of which an arm was stopped at a time [s], its cell, and its file."""
+
+    @cache
+    def made(arm: int, at: float) -> tuple[Plan, StoppedCell, str]:
+        log = tmp_path_factory.mktemp("stopped") / "build.jsonl"
+        return *build(planned, log, Pressed(arm, at)), log.read_text(encoding="utf-8")
+
+    return made
+
+
 def is_whole(plan: Plan, cell: WatchedCell) -> None:
     """Every block is where it shall be, each placed once."""
     assert plan.complete, plan.reason
@@ -88,12 +105,17 @@ def is_whole(plan: Plan, cell: WatchedCell) -> None:
         assert arm.did.attempts == len(record.steps)
 
 
-@pytest.mark.parametrize(("arm", "at"), [(0, 8.0), (1, 12.0)])
+@pytest.mark.parametrize(("arm", "at"), [STOP, (1, 12.0)])
 def test_a_build_whose_arm_was_stopped_is_gone_on_with(
-    planned: tuple[Plan, list[Member]], tmp_path: Path, arm: int, at: float
+    planned: tuple[Plan, list[Member]],
+    stopped: Callable[[int, float], tuple[Plan, StoppedCell, str]],
+    tmp_path: Path,
+    arm: int,
+    at: float,
 ) -> None:
     log = tmp_path / "build.jsonl"
-    first, cell = build(planned, log, Pressed(arm, at))
+    first, cell, text = stopped(arm, at)
+    log.write_text(text, encoding="utf-8")
     assert first.status == "incomplete"
     assert "pressed the button" in (first.reason or "")
     assert cell.stage
@@ -128,12 +150,14 @@ def test_a_build_that_was_ended_by_force_is_gone_on_with(
 
 
 def test_the_file_of_another_build_is_refused(
-    planned: tuple[Plan, list[Member]], tmp_path: Path
+    planned: tuple[Plan, list[Member]],
+    stopped: Callable[[int, float], tuple[Plan, StoppedCell, str]],
+    tmp_path: Path,
 ) -> None:
     """That of the same plan by arms of other names is one."""
     log = tmp_path / "build.jsonl"
     plan, members = planned
-    build(planned, log, Pressed(0, 5.0))
+    log.write_text(stopped(*STOP)[2], encoding="utf-8")
     other = [replace(members[0], name="left"), members[1]]
     with pytest.raises(InputError, match="--resume"):
         build((plan, other), log)
