@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, box_block
+from learn2assemble.assembly.blocks import Assembly, Block, box_block
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.constants import EDGE, HALF
 from learn2assemble.errors import extra
@@ -145,7 +145,7 @@ def _placements(simulator: Simulator, seconds: float) -> float:
         good = np.argwhere(simulator.physics_mask(state)[0])
         if len(good):
             reference, action = good[rng.integers(len(good))]
-            unplaced = rng.integers(state.num_unplaced[0])
+            unplaced = int(rng.integers(int(state.num_unplaced[0])))
             trial = state.copy()
             done = simulator.step(trial, np.array([[unplaced, reference, action]]))
             if done.verdict[0] == 0:
@@ -159,7 +159,7 @@ def _placements(simulator: Simulator, seconds: float) -> float:
 
 def dynamic_move_s(seconds: float) -> float:
     """Processor time of one pick and place of the Panda, simulated whole: a wall of cubes."""
-    cell, spent = DynamicCell(get_arm("panda")), []
+    cell, spent = DynamicCell(get_arm("panda")), list[float]()
     build_wall(cell, 1, 1)  # compiles
     while sum(spent) < seconds:
         spent += build_wall(cell, 3, 2).seconds
@@ -175,7 +175,7 @@ def exact_plan_s(seconds: float) -> float:
 
 def check_s(seconds: float) -> float:
     """Whether a wall of 200 bricks stands, with its margin."""
-    bricks = []
+    bricks: list[Block] = []
     for course, column in np.ndindex(20, 10):
         x, z = 0.2 * column + 0.05 * (course % 2), 0.1 * course
         bricks.append(box_block(f"{course}-{column}", (x, 0, z), (x + 0.2, 0.2, z + 0.1)))

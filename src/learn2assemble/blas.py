@@ -9,17 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache, wraps
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
-import scipy.linalg  # noqa: F401  its library has to be there before it is told
-from threadpoolctl import ThreadpoolController
+# Its library has to be there before it is told.
+import scipy.linalg  # noqa: F401  # pyright: ignore[reportMissingTypeStubs, reportUnusedImport]
+from threadpoolctl import ThreadpoolController  # pyright: ignore[reportMissingTypeStubs]
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 
 @lru_cache(maxsize=1)
-def _libraries() -> ThreadpoolController:
+def _libraries() -> Any:
     return ThreadpoolController()
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import lru_cache
+from typing import Any
 
 
 class _Compiling:
@@ -57,5 +58,6 @@ def _watched() -> _Compiling:
         def on_end(self, event: event.Event) -> None:
             compiling.end()
 
-    event.register("numba:compile", Listener())
+    library: Any = event  # Without types.
+    library.register("numba:compile", Listener())
     return compiling

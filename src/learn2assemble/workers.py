@@ -125,24 +125,25 @@ def _on_ray(
     import ray
     import ray.exceptions
 
+    library: Any = ray  # Its own types are known in part.
     started = not ray.is_initialized()
     if started:
         options: dict[str, Any] = {"address": address}
         if address == LOCAL:
             options = {"num_cpus": max(workers, 1), "include_dashboard": False}
         try:
-            ray.init(**options, log_to_driver=False, logging_level=logging.ERROR)
+            library.init(**options, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, RuntimeError, ValueError):
             raise InputError("ray", address, "the address of a Ray cluster") from None
     try:
         # Not retried by Ray itself after an exception of the function: those are answers.
-        remote = ray.remote(num_cpus=1, max_retries=MAX_DEATHS)(_on_node)
+        remote = library.remote(num_cpus=1, max_retries=MAX_DEATHS)(_on_node)
         waiting = {remote.remote(function, item): item for item in items}
         while waiting:
-            ready, _ = ray.wait(list(waiting))
+            ready, _ = library.wait(list(waiting))
             for reference in ready:
                 try:
-                    found = ray.get(reference)
+                    found = library.get(reference)
                 except (ray.exceptions.WorkerCrashedError, ray.exceptions.NodeDiedError):
                     text = f"workers died {MAX_DEATHS} times at one piece of work"
                     raise WorkerError(text) from None
@@ -151,7 +152,7 @@ def _on_ray(
                 yield waiting.pop(reference), found
     finally:
         if started:
-            ray.shutdown()
+            library.shutdown()
 
 
 def _on_node(function: Callable[[Item], Found], item: Item) -> Found:

@@ -69,7 +69,7 @@ def felt(guards: Sequence[Guard], feel: float) -> list[Guard]:
     Args:
         feel: smallest force that counts [N].
     """
-    found = []
+    found: list[Guard] = []
     for one in sorted(guards, key=lambda guard: guard.begin):
         given = [force for force in (one.force, one.held, one.taken) if force is not None]
         least = max(min(given), UNWANTED * feel) if given else None

@@ -54,8 +54,8 @@ class FrankaPlant(WatchingController):
             import franky
         self._lib: Any = franky
         try:
-            self._robot: Any = franky.Robot(self.place.host)
-            self._gripper: Any = franky.Gripper(self.place.host)
+            self._robot: Any = self._lib.Robot(self.place.host)
+            self._gripper: Any = self._lib.Gripper(self.place.host)
         except Exception as error:  # noqa: BLE001  the library has classes of its own for each case
             raise lost(_line(error)) from None
 
@@ -96,7 +96,7 @@ class FrankaPlant(WatchingController):
             return Stop.PROTECTIVE, _line(error)
 
     def _waypoints(self, motion: Motion) -> Any:
-        lib, points = self._lib, []
+        lib, points = self._lib, list[Any]()
         for k, step in enumerate(np.diff(motion.time), 1):
             state = lib.JointState(motion.joints[k], motion.velocity[k])
             least = lib.Duration(round(1e3 * float(step)))

@@ -13,7 +13,8 @@ import re
 import threading
 import time
 from collections.abc import Sequence
-from typing import Any
+from functools import partial
+from typing import Any, cast
 
 import numpy as np
 
@@ -71,7 +72,7 @@ class RosPlant(WatchingController):
     def __init__(self, place: str, setup: Setup) -> None:
         super().__init__(Address.read("ros2", place, PORT), setup)
         with extra("roslibpy", "ros2"):
-            import roslibpy
+            import roslibpy  # pyright: ignore[reportMissingTypeStubs]
         self._lib: Any = roslibpy
         self._said: dict[str, Any] = {}
         self._known = False
@@ -80,21 +81,21 @@ class RosPlant(WatchingController):
         self._result = _Result()
         # What goes wrong is told in one line, by us; whoever listens to logs hears it as before.
         logging.getLogger("twisted").addHandler(logging.NullHandler())
-        self._ros: Any = roslibpy.Ros(self.place.host, self.place.port, transport="twisted")
+        self._ros: Any = self._lib.Ros(self.place.host, self.place.port, transport="twisted")
         try:
             self._ros.run(CONNECT)
-        except roslibpy.core.RosTimeoutError:
+        except self._lib.core.RosTimeoutError:
             self.close()
             raise lost(f"{self.place.host}:{self.place.port}: no rosbridge answers") from None
         # A connection that comes back by itself would go on with half a motion.
         self._ros.factory.stopTrying()
-        self._action = roslibpy.ActionClient(
+        self._action: Any = self._lib.ActionClient(
             self._ros, ACTION, "control_msgs/action/FollowJointTrajectory"
         )
-        self._heard = [roslibpy.Topic(self._ros, name, kind) for name, kind in TOPICS.items()]
+        self._heard = [self._lib.Topic(self._ros, name, kind) for name, kind in TOPICS.items()]
         for topic in self._heard:
-            topic.subscribe(lambda said, name=topic.name: self._hear(name, said))
-        self._told = {n: roslibpy.Topic(self._ros, n, kind) for n, kind in COMMANDS.items()}
+            topic.subscribe(partial(self._hear, topic.name))
+        self._told = {n: self._lib.Topic(self._ros, n, kind) for n, kind in COMMANDS.items()}
         for topic in self._told.values():
             topic.advertise()
         self._check()
@@ -199,7 +200,7 @@ class RosPlant(WatchingController):
         goal = {"trajectory": {"joint_names": list(self.driver.joints), "points": points}}
         result = self._result = _Result()
         self._goal = self._action.send_goal(
-            self._lib.Goal(goal), result.take, lambda _: result.begun.set(), result.take
+            self._lib.Goal(goal), result.take, result.begin, result.take
         )
 
     def _tell(self, commands: Sequence[ToolCommand]) -> None:
@@ -258,9 +259,14 @@ class _Result:
         self.begun, self.came, self.sent = threading.Event(), threading.Event(), time.monotonic()
         self.said: dict[str, Any] = {}
 
+    def begin(self, _: Any) -> None:
+        """Something is told on the way."""
+        self.begun.set()
+
     def take(self, said: Any) -> None:
         """The answer, of whatever kind."""
-        self.said = dict(said) if isinstance(said, dict) else dict(getattr(said, "data", {}))
+        data: Any = getattr(said, "data", {})
+        self.said = dict(cast("dict[str, Any]", said)) if isinstance(said, dict) else dict(data)
         self.came.set()
 
     def stop(self) -> tuple[Stop, str]:
@@ -269,9 +275,10 @@ class _Result:
             return Stop.END, ""
         status = self.said.get("status")
         status = getattr(status, "value", status)
-        values = self.said.get("values") or {}
+        values: Any = self.said.get("values") or {}
         code, words = 0, ""
         if isinstance(values, dict):
+            values = cast("dict[str, Any]", values)
             values = values.get("result", values)
             code, words = int(values.get("error_code", 0)), str(values.get("error_string", ""))
         else:

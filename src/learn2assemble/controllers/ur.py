@@ -123,7 +123,8 @@ class UrPlant(Controller):
         self._beat = _Beat(self.place.host)
         self._model()
         try:
-            self._state: Any = rtde_receive.RTDEReceiveInterface(
+            library: Any = rtde_receive
+            self._state: Any = library.RTDEReceiveInterface(
                 self.place.host, RATE, list(VARIABLES), False, True
             )
         except (RuntimeError, ValueError) as error:

@@ -233,7 +233,7 @@ def _guard(guard: Guard) -> str:
 
 
 def _command(command: ToolCommand, driver: Driver, settings: ProgramSettings) -> str:
-    out = []
+    out: list[str] = []
     close = command.vacuum
     if close is None and command.width is not None:
         close = command.force > 0
@@ -251,7 +251,7 @@ def _command(command: ToolCommand, driver: Driver, settings: ProgramSettings) ->
 
 def _pose(pose: np.ndarray) -> np.ndarray:
     """x, y, z and a rotation vector float64[6], of a position and a quaternion float64[7]."""
-    from scipy.spatial.transform import Rotation
+    from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs]
 
     turn = Rotation.from_quat(pose[3:], scalar_first=True).as_rotvec()
     return np.concatenate([pose[:3], turn])
