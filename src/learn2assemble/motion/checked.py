@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -142,7 +142,8 @@ class Checked(WrappedPlant):
     def _odd_block(self, one: object, now: float, seen: set[str]) -> str:
         if not isinstance(one, BlockReading):
             return f"a reading of type {type(one).__name__}"
-        if not isinstance(one.block, str) or one.block not in self.names:
+        known = isinstance(one.block, str)  # pyright: ignore[reportUnnecessaryIsInstance]
+        if not known or one.block not in self.names:
             return f"a reading of a block {one.block!r} that does not exist"
         if one.block in seen:
             return f"two readings of {one.block}"
@@ -158,7 +159,7 @@ class Checked(WrappedPlant):
     def _odd_report(self, report: object) -> str:
         if not isinstance(report, Report):
             return f"an answer of type {type(report).__name__} instead of a report"
-        if not isinstance(report.stop, Stop):
+        if not isinstance(report.stop, Stop):  # pyright: ignore[reportUnnecessaryIsInstance]
             return f"an end {report.stop!r}"
         if not (_finite(report.done) and 0 <= report.done <= 1):
             return f"a share {report.done!r} of a motion"
@@ -171,8 +172,9 @@ class Checked(WrappedPlant):
 
 def covariance_is_sound(matrix: object) -> bool:
     """Whether it is a float64[6, 6] of finite numbers, symmetric, with no negative eigenvalue."""
-    if not isinstance(matrix, np.ndarray) or not _numbers(matrix, (6, 6)):
+    if not _numbers(matrix, (6, 6)):
         return False
+    matrix = cast("np.ndarray", matrix)
     size = float(np.abs(matrix).max())
     if size == 0:
         return True
@@ -189,9 +191,8 @@ def _odd_tool(tool: object) -> str:
     for name, value in (("width", tool.width), ("grip", tool.grip)):
         if value is not None and not _finite(value):
             return f"a {name} {value!r} of the fingers"
-    if not (
-        isinstance(tool.force, tuple) and len(tool.force) == 3 and all(map(_finite, tool.force))
-    ):
+    three = isinstance(tool.force, tuple)  # pyright: ignore[reportUnnecessaryIsInstance]
+    if not (three and len(tool.force) == 3 and all(map(_finite, tool.force))):
         return "a force that is not three finite numbers"
     return ""
 
@@ -201,12 +202,10 @@ def _finite(value: object) -> bool:
 
 
 def _numbers(value: object, shape: tuple[int, ...]) -> bool:
-    return (
-        isinstance(value, np.ndarray)
-        and value.shape == shape
-        and value.dtype == np.float64
-        and bool(np.isfinite(value).all())
-    )
+    if not isinstance(value, np.ndarray):
+        return False
+    array = cast("np.ndarray", value)
+    return array.shape == shape and array.dtype == np.float64 and bool(np.isfinite(array).all())
 
 
 def _line(error: BaseException) -> str:

@@ -12,7 +12,7 @@ import io
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -54,11 +54,15 @@ def read_record(path: Path) -> BuildRecord:
 def record_data(record: BuildRecord) -> dict[str, Any]:
     """The content of ``trajectory.json``: plain numbers, words and lists."""
     head = {"format": FORMAT, "version": VERSION, "units": "s, m, rad; world frame, z up"}
-    steps = []
+    steps: list[dict[str, Any]] = []
     for step in map(_plain, record.steps):
         samples = step.pop("samples")
         steps.append({"step": step.pop("number"), **step, **samples})
-    data = {**head, **_plain(dataclasses.replace(record, steps=(), studs=None)), "steps": steps}
+    data: dict[str, Any] = {
+        **head,
+        **_plain(dataclasses.replace(record, steps=(), studs=None)),
+        "steps": steps,
+    }
     del data["studs"]
     return data if record.studs is None else {**data, "studs": _plain(studs_data(record.studs))}
 
@@ -69,15 +73,17 @@ def record_from(data: Any) -> BuildRecord:
     Raises:
         InputError: where it is none, naming the field.
     """
-    if not isinstance(data, Mapping) or data.get("format") != FORMAT:
-        raise InputError("trajectory", type(data).__name__, f"a {FORMAT} file")
+    told = type(data).__name__
+    data = cast("Mapping[str, Any]", data) if isinstance(data, Mapping) else dict[str, Any]()
+    if data.get("format") != FORMAT:
+        raise InputError("trajectory", told, f"a {FORMAT} file")
     if integer(data.get("version"), "trajectory.version") != VERSION:
         raise InputError("trajectory.version", data["version"], str(VERSION))
     where = "trajectory"
     try:
         arm = _arm_from(data["arm"])
         objects = tuple(tuple(int(c) for c in cells) for cells in data["objects"])
-        count, steps = sum(map(len, objects)), []
+        count, steps = sum(map(len, objects)), list[StepRecord]()
         for k, item in enumerate(data["steps"]):
             where = f"trajectory.steps[{k}]"
             steps.append(_step_from(item, where, len(arm.joints), count))
@@ -191,11 +197,11 @@ def _plain(value: Any) -> Any:
     if dataclasses.is_dataclass(value):
         return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, tuple):
-        return [_plain(item) for item in value]
+        return [_plain(item) for item in cast("tuple[Any, ...]", value)]
     if isinstance(value, dict):
-        return {name: _plain(item) for name, item in value.items()}
+        return {name: _plain(item) for name, item in cast("dict[str, Any]", value).items()}
     if isinstance(value, list):
-        return [_plain(item) for item in value]
+        return [_plain(item) for item in cast("list[Any]", value)]
     if value is None or isinstance(value, str | bool | int):
         return value
     array = np.asarray(value, float)
@@ -225,14 +231,15 @@ def _array(what: str, value: Any, shape: tuple[int, ...], most: float = MOST) ->
 
 def _text(value: Any, indent: int = 0) -> str:
     """JSON with one line per row of numbers, and everything else indented."""
-    inner = value.values() if isinstance(value, dict) else value
+    items = cast("dict[str, Any]", value) if isinstance(value, dict) else dict[str, Any]()
+    inner: list[Any] = [*items.values()] if isinstance(value, dict) else value
     if not isinstance(value, dict | list) or not any(isinstance(v, dict | list) for v in inner):
         return json.dumps(value, ensure_ascii=False, allow_nan=False)
     if isinstance(value, dict):
-        parts = [f"{json.dumps(k)}: {_text(v, indent + 1)}" for k, v in value.items()]
+        parts = [f"{json.dumps(k)}: {_text(v, indent + 1)}" for k, v in items.items()]
         left, right = "{", "}"
     else:
-        parts = [_text(v, indent + 1) for v in value]
+        parts = [_text(v, indent + 1) for v in inner]
         left, right = "[", "]"
     between = "\n" + " " * (indent + 1)
     return left + between + f",{between}".join(parts) + between[:-1] + right

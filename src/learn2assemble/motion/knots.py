@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -74,20 +74,29 @@ class Knots(NamedTuple):
     def bounds(self) -> Limits:
         """What position, velocity, acceleration and jerk never leave between two knots: their
         magnitudes float64[k-1, n] per piece, and positions from ``lower`` to ``upper``."""
-        c, h = self.coefficients(), np.diff(self.time)[:, None]
-        found = []
+        c: np.ndarray = self.coefficients()
+        h = np.diff(self.time)[:, None]
+        found: list[tuple[np.ndarray, np.ndarray]] = []
         for order in range(4):
-            low = high = np.zeros(())
-            for k, part in enumerate(_control_points(5 - order)):
-                points = c @ part.T
-                low = np.minimum(points.min(-1), low) if k else points.min(-1)
-                high = np.maximum(points.max(-1), high) if k else points.max(-1)
-            found.append((low, high))
-            c = c[..., 1:] * np.arange(1, c.shape[-1])
-        return Limits(
-            *(np.maximum(-low, high) / h**k for k, (low, high) in enumerate(found[1:], 1)),
-            *found[0],
-        )
+            found.append(_ends(c, 5 - order))
+            c = _slope(c)
+        (lower, upper), *rates = found
+        v, a, j = (np.maximum(-low, high) / h**k for k, (low, high) in enumerate(rates, 1))
+        return Limits(v, a, j, lower, upper)
+
+
+def _ends(c: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest control points of polynomials float64[..., d+1], each float64[...]."""
+    points: list[np.ndarray] = [c @ part.T for part in _control_points(degree)]
+    low, high = points[0].min(-1), points[0].max(-1)
+    for other in points[1:]:
+        low, high = np.minimum(other.min(-1), low), np.maximum(other.max(-1), high)
+    return low, high
+
+
+def _slope(c: np.ndarray) -> np.ndarray:
+    """Coefficients of the derivatives of polynomials float64[..., d+1]."""
+    return np.multiply(c[..., 1:], np.arange(1, int(c.shape[-1])))
 
 
 @cache
@@ -115,7 +124,7 @@ def fit(time: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> Knots:
         position: float64[k, n] [rad].
         velocity: float64[k, n] [rad/s].
     """
-    from scipy.linalg import solve_banded
+    import scipy.linalg  # pyright: ignore[reportMissingTypeStubs]
 
     acceleration = np.zeros_like(position)
     if len(time) > 2:
@@ -128,7 +137,8 @@ def fit(time: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> Knots:
         matrix = np.zeros((3, len(time) - 2))
         matrix[0, 1:] = matrix[2, :-1] = -3 / h[1:-1, 0]
         matrix[1] = 9 / h[:-1, 0] + 9 / h[1:, 0]
-        acceleration[1:-1] = solve_banded((1, 1), matrix, right - left)
+        lapack: Any = scipy.linalg  # Its types are known in part.
+        acceleration[1:-1] = lapack.solve_banded((1, 1), matrix, right - left)
     return Knots(time, position, velocity, acceleration)
 
 

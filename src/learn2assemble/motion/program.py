@@ -201,7 +201,8 @@ def make_program(record: BuildRecord, arm: Arm) -> Program:
     q, v = samples.joints, samples.velocity
     same = (np.abs(np.diff(q, axis=0)).max(1) <= REST) & (np.abs(v[1:]).max(1) <= REST)
     same &= np.abs(v[:-1]).max(1) <= REST
-    time, parts, motion, stretch = [samples.time[:1]], [], np.zeros(len(same), np.int64), 1.0
+    time, motion, stretch = [samples.time[:1]], np.zeros(len(same), np.int64), 1.0
+    parts: list[list[np.ndarray]] = []
     start = 0
     edges = np.flatnonzero(np.diff(same)) + 1
     for count, end in enumerate([*edges.tolist(), len(same)], 1):
@@ -333,7 +334,8 @@ def _with_tool(program: Program, record: BuildRecord, arm: Arm, samples: Samples
     blocks, command = program.blocks, samples.command
     opened = 0.0 if program.suction else round(float(command[0]), 4)
     first = ToolState(0.0, opened, 0.0 if program.suction else arm.gripper.speed, 0.0, False, 0.0)
-    teller, steps = _Teller(program, arm, first), []
+    teller = _Teller(program, arm, first)
+    steps: list[tuple[StepRecord, list[int], np.ndarray]] = []
     tell = teller.tell
     for step in record.steps:
         here = np.flatnonzero(program.step == step.number)
@@ -383,7 +385,7 @@ def _with_tool(program: Program, record: BuildRecord, arm: Arm, samples: Samples
     def now(recorded: float | None) -> float:
         return float(time[-1] if recorded is None else np.interp(recorded, samples.time, time))
 
-    made, end = [], 0.0
+    made, end = list[ProgramStep](), 0.0
     for step, checks, here in steps:
         end = float(time[int(here[-1]) + 1]) if len(here) else end
         held = None if step.grip is None else (now(step.grip), now(step.release))

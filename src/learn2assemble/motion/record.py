@@ -180,7 +180,7 @@ class BuildRecord:
 
     def spans(self) -> list[tuple[float, float]]:
         """Start and end of every step [s]; one without samples takes no time."""
-        now, found = 0.0, []
+        now, found = 0.0, list[tuple[float, float]]()
         for step in self.steps:
             start = now
             if len(step.samples.time):
@@ -190,7 +190,7 @@ class BuildRecord:
 
     def joined(self) -> tuple[Samples, np.ndarray]:
         """All samples in a row, and int64[T], the number of the step of each."""
-        n, found = len(self.arm.joints), []
+        n, found = len(self.arm.joints), list[np.ndarray]()
         none = Samples(np.empty(0), np.empty((0, n)), np.empty((0, n)), np.empty(0), np.empty(0))
         for parts in zip(*(vars(one.samples).values() for one in self.steps), strict=True):
             found.append(np.concatenate(parts))

@@ -99,7 +99,7 @@ def _limit(given: Any, key: str, most: float, where: str) -> float | None:
 
 def _box(value: Any, where: str) -> Box:
     expected = "[[x, y, z], [x, y, z]] in metres: its lowest corner, and its highest"
-    corners = []
+    corners: list[tuple[float, float, float]] = []
     for corner in sequence(value, where, expected):
         x, y, z = [number(v, where) for v in sequence(corner, where, expected)] + [FAR] * (
             3 - len(corner)

@@ -31,7 +31,7 @@ def studs_from(data: Mapping[str, Any], cells: int) -> Studs:
     Raises:
         ValueError: for anything else; also KeyError and TypeError.
     """
-    made = []
+    made: list[StudJoint] = []
     for one in data["joints"]:
         lower, upper = int(one["lower"]), int(one["upper"])
         if not (GROUND <= lower < cells and 0 <= upper < cells and lower != upper):

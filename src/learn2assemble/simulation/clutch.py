@@ -339,7 +339,7 @@ class Clutch:
             strict=True,
         ):
             if first >= 0:
-                a, b = sorted(pair)
+                a, b = sorted(map(int, pair))
                 count = dim if elliptic or dim == 1 else 2 * (dim - 1)
                 found.setdefault((a, b), []).append((first, count))
         return found

@@ -171,7 +171,7 @@ class SimulatedContacts:
 
 
 @njit(cache=True)
-def _first(pairs, classes, thresholds, begin):
+def _first(pairs: np.ndarray, classes: np.ndarray, thresholds: np.ndarray, begin: int) -> int:
     """Index of the first contact from ``begin`` on that may be a collision, or their number."""
     for k in range(begin, pairs.shape[0]):
         if thresholds[classes[pairs[k, 0]], classes[pairs[k, 1]]] < np.inf:

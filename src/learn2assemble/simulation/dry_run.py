@@ -253,7 +253,8 @@ def _driven(program: Program, arm: Arm, time: np.ndarray) -> _Told:
             if value != now:
                 takes = abs(value - now) / speed if speed else LOAD_TIME
                 line.append((state.time + takes, value))
-    told, loads, pushes = (np.interp(time, *np.array(line).T) for line in lines)
+    drawn: list[np.ndarray] = [np.interp(time, *np.array(line).T) for line in lines]
+    told, loads, pushes = drawn
     if program.suction:
         told = np.array([state.vacuum for state in program.states], float)
         told = told[program.states_at(time)]

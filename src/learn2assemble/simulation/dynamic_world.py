@@ -15,10 +15,11 @@ import numpy as np
 
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
+from learn2assemble.geometry.hulls import Hull
 from learn2assemble.geometry.rotations import quaternion_matrix, quaternion_product
 from learn2assemble.motion.setup import Setup
 from learn2assemble.robot.moves import Scene
-from learn2assemble.robot.studs import GROUND, Studs
+from learn2assemble.robot.studs import GROUND, StudJoint, Studs
 from learn2assemble.simulation.bench import Bench
 from learn2assemble.simulation.cell import WorldForces, Worlds
 from learn2assemble.simulation.clock import SharedClock
@@ -213,7 +214,8 @@ class DynamicWorld(SimulatedCell):
 
     def scene(self) -> tuple[Scene, dict[str, np.ndarray]]:
         """All blocks and obstacles as solids, and the rows of each block."""
-        place, turn, number, half, hull, density = [], [], [], [], [], []
+        place, turn, half = list[np.ndarray](), list[np.ndarray](), list[tuple[float, ...]]()
+        number, hull, density = list[int](), list[Hull | None](), list[float]()
         rows: dict[str, np.ndarray] = {}
         fixed = [(kind, pose) for kind, pose in self.setup.fixed]
         names = list(self.things)
@@ -258,7 +260,7 @@ class DynamicWorld(SimulatedCell):
         told = self.setup.studs
         if told is None:
             return None
-        found = []
+        found: list[StudJoint] = []
         for joint in told.joints:
             if joint.upper in lead and (joint.lower == GROUND or joint.lower in lead):
                 lower = GROUND if joint.lower == GROUND else lead[joint.lower]

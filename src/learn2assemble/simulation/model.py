@@ -16,7 +16,7 @@ A move in a scene as the simulation sees it: rigid objects with poses, one to be
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -197,10 +197,12 @@ def group(
 def _sized(scene: Scene, cells: np.ndarray, centre: np.ndarray, half: np.ndarray) -> list[Box]:
     """Cells of given size at ``centre`` float64[m, 3] in the frame of their object [m]."""
     found: list[Box] = []
-    rows = zip(cells.tolist(), centre, half, scene.mass(cells), strict=True)
+    masses = scene.mass(cells).tolist()
+    rows: Iterable[tuple[int, np.ndarray, np.ndarray, float]]
+    rows = zip(cells.tolist(), centre, half, masses, strict=True)
     for cell, middle, size, mass in rows:
-        box = tuple(middle.tolist()), tuple(np.round(size, 9).tolist()), round(float(mass), 9)
-        hull = None if scene.hull is None else scene.hull[cell]
+        box: Any = tuple(middle.tolist()), tuple(size.round(9).tolist()), round(mass, 9)
+        hull: Hull | None = None if scene.hull is None else scene.hull[cell]
         found.append(box if hull is None else (*box, hull))
     return found
 
@@ -530,7 +532,7 @@ def part_of(box: Box) -> Part:
 def _solids(
     model: mujoco.MjModel, shape: tuple[tuple[Box, ...], ...], first: int
 ) -> dict[int, Part]:
-    found = {}
+    found: dict[int, Part] = {}
     for number, boxes in enumerate(shape):
         begin = int(model.body_geomadr[first + number])
         found |= {begin + k: part_of(box) for k, box in enumerate(boxes)}
@@ -661,7 +663,7 @@ def rigid_objects(
         goal = members, carried(scene._replace(quaternion=turns), move, members)[1]
     objects = group(scene, turns, free, goal)
     poses = np.hstack([scene.position[objects.lead], turns[objects.lead]])
-    still = [] if free is None else np.flatnonzero(~free)
+    still = np.empty(0, np.int64) if free is None else np.flatnonzero(~free)
     return objects, poses, [f"block {k}" for k in (*objects.lead, *still)]
 
 

@@ -25,7 +25,11 @@ STILL = 1e-4
 
 def register_plant(table: Registry[Any]) -> None:
     """Add ``sim://`` to the plants."""
-    table.register("sim", lambda rest, setup: simulated(setup))
+
+    def made(_: str, setup: Setup) -> Plant:
+        return simulated(setup)
+
+    table.register("sim", made)
 
 
 def simulated(setup: Setup) -> Plant:
@@ -49,7 +53,7 @@ class DynamicPlant(DynamicWorld):
         InputError: for several arms where bricks clutch.
     """
 
-    plants: tuple[ArmPlant, ...]
+    plants: tuple[ArmPlant, ...]  # pyright: ignore[reportIncompatibleVariableOverride]
     simulated: SimulatedState
     acting: ArmInCell
 
@@ -62,7 +66,7 @@ class DynamicPlant(DynamicWorld):
     def _begin(self, joints: list[np.ndarray], widths: list[float], begun: int) -> None:
         """All arms stand at joints float64[n] [rad], nothing is free to move."""
         self.simulated = self._state(set(), begun)
-        self.plants = tuple(
+        self.plants = tuple(  # pyright: ignore[reportIncompatibleVariableOverride]
             ArmPlant(self, Simulation(self.simulated, arm, q, width, NOBODY, Trace(), number))
             for number, (arm, q, width) in enumerate(zip(self.arms, joints, widths, strict=True))
         )

@@ -58,7 +58,13 @@ def diverged(
     folder = folder or Path(tempfile.mkdtemp(prefix="l2a-diverged-"))
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "scene.xml").write_text(world.spec.to_xml(), encoding="utf-8")
-    state = {"qpos": data.qpos, "qvel": data.qvel, "ctrl": data.ctrl, "time": time, **more}
+    state: dict[str, Any] = {
+        "qpos": data.qpos,
+        "qvel": data.qvel,
+        "ctrl": data.ctrl,
+        "time": time,
+        **more,
+    }
     np.savez(folder / "state.npz", **state)
     return SimulationDivergedError(time, folder)
 

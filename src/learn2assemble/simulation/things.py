@@ -161,7 +161,7 @@ class SimulatedCell:
         rng = self.chances.stream(PUSHED, self.grasps)
         bodies = {n: solids(one.kind.shape, one.pose) for n, one in sorted(self.things.items())}
         free = [n for n, one in sorted(self.things.items()) if one.handled and not self._carries(n)]
-        for name in [free[k] for k in rng.permutation(len(free)).tolist()]:
+        for name in [free[int(k)] for k in rng.permutation(len(free))]:
             thing = self.things[name]
             for step in pushed(rng):
                 there = thing.pose.copy()

@@ -10,16 +10,13 @@ constant limits on its derivatives that keep every joint within its own:
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from learn2assemble.errors import InputError, MissingExtraError
 from learn2assemble.robot.arm import Limits
 from learn2assemble.robot.joint_path import JointPath
-
-if TYPE_CHECKING:
-    import ruckig
 
 _BENT = 0.6
 """Share of acceleration and jerk that the bends of a path may use."""
@@ -142,7 +139,7 @@ def motion(
         step: time between samples [s].
         segments: one after the other, each from where the one before ended.
     """
-    found, start = [], (0.0, 0.0, 0.0)
+    found, start = list[Any](), (0.0, 0.0, 0.0)
     for segment in segments or (Segment(path.length),):
         capped = bounds._replace(speed=min(bounds.speed, segment.top_speed))
         found.append(_profile(capped, start, (segment.end, segment.end_speed)))
@@ -152,7 +149,7 @@ def motion(
 
 def _profile(
     bounds: PathLimits, start: tuple[float, float, float], end: tuple[float, float]
-) -> ruckig.Trajectory:
+) -> Any:
     """The fastest s(t) within ``bounds`` to s and its derivative at the end."""
     ruckig = load_ruckig()
     wanted = ruckig.InputParameter(1)
@@ -173,8 +170,8 @@ def _profile(
     raise InputError("motion", str(wanted), "a motion within the limits of the path")
 
 
-def _sample(path: JointPath, parts: list[ruckig.Trajectory], step: float) -> PathSamples:
-    progress, begun = [], 0.0
+def _sample(path: JointPath, parts: list[Any], step: float) -> PathSamples:
+    progress, begun = list[tuple[float, float, float]](), 0.0
     for part in parts:
         first = len(progress) + 1
         last = math.floor((begun + part.duration) / step + 1e-9)
@@ -188,7 +185,7 @@ def _sample(path: JointPath, parts: list[ruckig.Trajectory], step: float) -> Pat
     return PathSamples(sampled, q, slope * rate, slope * change + bend * rate**2)
 
 
-def _now(part: ruckig.Trajectory, time: float) -> tuple[float, float, float]:
+def _now(part: Any, time: float) -> tuple[float, float, float]:
     position, velocity, acceleration = part.at_time(min(time, part.duration))[:3]
     return position[0], velocity[0], acceleration[0]
 

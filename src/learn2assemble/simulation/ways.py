@@ -345,7 +345,7 @@ def _shortened(
     for _ in range(_SHORTCUTS):
         if len(way) < 3:
             break
-        a, b = sorted(rng.integers(0, len(way), 2))
+        a, b = sorted(map(int, rng.integers(0, len(way), 2)))
         if b - a > 1 and checker.blocked(way[a], way[b]) is None:
             way = way[: a + 1] + way[b:]
     return np.array(way)
