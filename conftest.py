@@ -24,6 +24,18 @@ TASKS = "learn2assemble.tasks", "learn2assemble.envs", "learning_data"
 """What a test imports that is of the wing of the paper."""
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """The order of the tests is random; numbers drawn in them are theirs."""
+    config.option.randomly_reset_seed = False
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say what repeats the order of the tests."""
+    seed = terminalreporter.config.getoption("randomly_seed", None)
+    if seed is not None:
+        terminalreporter.write_line(f"order of the tests: --randomly-seed={seed}")
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Every test is of one part: the product, the tasks of the paper, the laboratory."""
     part: dict[Path, str] = {}
