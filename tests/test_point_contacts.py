@@ -91,6 +91,25 @@ def test_a_plank_on_two_ridges_stands(gap: float) -> None:
     assert check(two).verdict == STANDS
 
 
+def test_what_may_not_touch_carries_nothing() -> None:
+    """One of the ridges is lower by 0.2 mm, a seventh of the tolerance."""
+    low, high = ridge("left", -0.2, 0.0998), ridge("right", 0.2)
+    answer = check(Assembly((low, high, plank(-0.3, 0.3))))
+    assert answer.verdict == UNCERTAIN
+    assert check(Assembly((low, high, plank(-0.15, 0.55)))).verdict == STANDS
+
+
+def test_a_block_balanced_on_an_edge_is_no_step() -> None:
+    """Forces balance it, and the least push tips it: its edge is known to the tolerance."""
+    corners = np.array([(x, y, z) for x in (0, 0.1) for y in (0, 0.1) for z in (0, 0.1)])
+    turned = corners.copy()
+    turned[:, 0] = (corners[:, 0] - corners[:, 2]) / np.sqrt(2)
+    turned[:, 2] = (corners[:, 0] + corners[:, 2]) / np.sqrt(2)
+    cube = Assembly((hull_block("cube", turned),))
+    assert "without a margin" in check(cube).proof
+    assert not plan_assembly(cube, supports="none").complete
+
+
 def test_a_plank_off_the_middle_of_one_ridge_falls() -> None:
     answer = check(Assembly((ridge("base", 0.0), plank(-0.1, 0.2))))
     assert answer.verdict == FALLS

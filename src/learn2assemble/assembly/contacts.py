@@ -24,6 +24,10 @@ TOLERANCE = 5e-3
 """Width of a gap that counts as contact, in the edge of a cube as large as the smaller block."""
 _ANGLE = 1e-2
 """Between normals of two facets in contact [rad]; warped facets have more."""
+SIDE = 0.02
+"""A patch is vertical when the vertical part of its normal is at most this."""
+_TOUCHES = 0.1
+"""Of the tolerance: edges and points that are farther apart may not touch."""
 _NARROWEST, _WIDEST = 1e-3, 1.5
 """Of the angle of friction about a normal: less is none, more is any direction [rad]."""
 _MOST_PAIRS = 4_000_000
@@ -196,9 +200,27 @@ def add_point_contacts(
         np.zeros(len(found)),
         np.concatenate([patch.points for patch in found]),
         len(contacts.a) + np.repeat(np.arange(len(found)), sizes),
-        np.array([patch.spread for patch in found]),
+        np.where(_met(contacts, found), [patch.spread for patch in found], np.pi / 2),
     )
     return Contacts(*map(np.concatenate, zip(contacts, more, strict=True)))
+
+
+def _met(faces: Contacts, found: Sequence[point_contacts.PointPatch]) -> np.ndarray:
+    """bool[n]: whether the blocks of each contact touch, or do when they have come down.
+
+    What is a little above all that it lies on comes down on that; what touches some of it need not
+    come to touch the rest, and where it rolls or slides instead, that carries nothing.
+    """
+    lowest: dict[int, float] = {}
+    for a, b, up in zip(faces.a.tolist(), faces.b.tolist(), faces.normal[:, 2], strict=True):
+        if abs(up) > SIDE:
+            lowest[b if up > 0 else a] = 0.0
+    ends = [(p.b if p.normal[2] > 0 else p.a, p) for p in found if abs(p.normal[2]) > SIDE]
+    for upper, patch in ends:
+        lowest[upper] = min(lowest.get(upper, patch.gap), patch.gap)
+    over = {id(patch): max(lowest[upper], 0.0) for upper, patch in ends}
+    gaps = np.array([patch.gap - over.get(id(patch), 0.0) for patch in found])
+    return gaps <= _TOUCHES
 
 
 def widened(contacts: Contacts, distance: float) -> Contacts:

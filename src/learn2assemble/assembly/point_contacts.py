@@ -41,6 +41,8 @@ class PointPatch(NamedTuple):
     """float64[k, 3]: corners [m, world]."""
     spread: float
     """Angle to the farthest of the possible normals [rad]; a right one where none is known."""
+    gap: float
+    """Along the normal, in tolerances; below 0 where they overlap."""
 
 
 class _PointSolid(NamedTuple):
@@ -80,7 +82,8 @@ def on_ground(blocks: Sequence[Block], indices: np.ndarray, width: np.ndarray) -
         if len(low):
             flat = _corners(_hull(low[:, :2]))
             points = np.column_stack([flat, np.zeros(len(flat))])
-            found.append(PointPatch(-1, k, np.array([0.0, 0.0, 1.0]), points, 0.0))
+            gap = float(vertices[:, 2].min() / width[k])
+            found.append(PointPatch(-1, k, np.array([0.0, 0.0, 1.0]), points, 0.0, gap))
     return found
 
 
@@ -110,7 +113,7 @@ def _apart(one: _PointSolid, two: _PointSolid, axes: np.ndarray) -> np.ndarray:
 
 def _touch(
     one: _PointSolid, two: _PointSolid, width: float
-) -> tuple[np.ndarray, np.ndarray, float] | None:
+) -> tuple[np.ndarray, np.ndarray, float, float] | None:
     axes = np.concatenate([one.normals, -two.normals])
     apart = _apart(one, two, axes)
     if apart.max() > width:
@@ -144,8 +147,9 @@ def _touch(
     flat = _corners(shared.convex_hull)
     points = flat @ basis + (top + bottom) / 2 * normal
     middle, spread = middle_of(axes[apart > apart[best] - width / 2])
+    gap = float(apart[best] / width)
     # So deep in one another they may have come from anywhere.
-    return middle, points, spread if apart[best] >= -width else np.pi / 2
+    return middle, points, spread if gap >= -1 else np.pi / 2, gap
 
 
 def middle_of(axes: np.ndarray) -> tuple[np.ndarray, float]:

@@ -17,6 +17,7 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly, check_friction
 from learn2assemble.assembly.contacts import (
     GROUND,
+    SIDE,
     Contacts,
     add_point_contacts,
     check_overlaps,
@@ -43,8 +44,6 @@ TIGHT: Verdict = "stands only with tight joints"
 FALLS: Verdict = "falls"
 UNCERTAIN: Verdict = "not certain"
 
-SIDE = 0.02
-"""A patch is vertical when the vertical part of its normal is at most this."""
 LEVEL = 0.995
 """It leans, neither vertical nor level, when that part is less than this (6 degrees)."""
 STIFFNESS = (1.0, 0.2)

@@ -39,6 +39,9 @@ _LOWER, _HIGHER = 0.75, 1.5
 """By how much pushes that are tried next differ, at first."""
 _LEAST = 1e-3
 """Smallest push that is looked for [g]."""
+ROCKS = 0.02
+"""Sideways acceleration [g] that a block on edges or points has to withstand: where these are is
+known to 1 % of the edge of the block, whose centre is half an edge above them."""
 _PAUSE = 16
 """Most states between two looks for larger pushes."""
 
@@ -136,6 +139,8 @@ class States:
         self._stiffness = 1 / corner_softness(contacts, length)
         self._wrench = np.stack(corner_wrenches(blocks, contacts))
         self.body: np.ndarray = np.stack([contacts.a, contacts.b])[:, contacts.patch]
+        self._sharp = (contacts.area == 0)[contacts.patch]
+        """Corners of edges and points."""
         self._fixed = np.array([block.support for block in blocks])
         self._radius = np.array(
             [
@@ -197,11 +202,26 @@ class States:
     def rests(self, state: State, block: int) -> bool:
         """Whether the coupled analysis holds a block where every other one bears any load.
 
-        A block that friction could squeeze in, but that nothing presses, does not pass.
+        A block that friction could squeeze in, but that nothing presses, does not pass, nor one
+        that is balanced on an edge or a point.
         """
         alone = np.array([block])
         part, start = self.part(state, alone), np.zeros((1, 6))
-        return all(self._coupled(part, alone, mu, start) is not None for mu in self.friction)
+        if not all(self._coupled(part, alone, mu, start) is not None for mu in self.friction):
+            return False
+        return not self._sharp[part[1]].any() or self._withstands(part, block, ROCKS)
+
+    def _withstands(self, part: tuple[Joined, np.ndarray], block: int, push: float) -> bool:
+        """Whether forces balance a block under a sideways acceleration [g] to each of four sides,
+        where every other one bears any load."""
+        joined, corners = part
+        limit, zero = self.limit[self.friction[0]][corners], np.zeros((len(corners), 3))
+        for side in ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)):
+            load = self.weight(np.array([block]))
+            load[0, :2] = push * self.mass[block] * np.array(side)
+            if not joined.nearest(load, limit, zero, BALANCED)[0]:
+                return False
+        return True
 
     def falls(self, state: State) -> bool:
         """Whether no forces balance a state: it falls for certain."""
