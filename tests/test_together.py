@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 
 import learn2assemble as l2a
 from l2a_lab.arm_distances import MOMENTS, WatchedCell
-from l2a_lab.shapes import wall
+from l2a_lab.shapes import SHAPES, wall
 from l2a_lab.two_arms import ARMS as ARM_NAMES
 from l2a_lab.two_arms import EIGHT, SETS, names, summary
-from learn2assemble.assembly.kit import load_kit
+from learn2assemble.assembly.kit import DEFAULT_KIT, load_kit
 from learn2assemble.cell.pair import BESIDE, HAND, Pair, gather, lower_beside
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
@@ -206,6 +207,58 @@ def test_whoever_waits_goes_on_when_the_block_is_let_go_in_its_place(there: bool
     assert waits.after is mine
     traffic.over(0, placed=False)
     assert waits.in_vain is not there
+
+
+def test_of_two_that_wait_for_each_other_the_one_that_comes_after_gives_way() -> None:
+    """What comes after a block that is put back is put back, too: two attempts for nothing."""
+    traffic = Traffic(ARMS)
+    corners = [[arm.home + step * np.eye(len(arm.home))[0] for step in (0.1, 0.2)] for arm in ARMS]
+    mine, other = (route(arm, where) for arm, where in zip(ARMS, corners, strict=True))
+    assert traffic.announce(0, mine)
+    assert traffic.announce(1, other, behind=True)
+    for lane in traffic.lanes:
+        lane.refused = traffic.changes
+    assert not traffic.stuck(0)
+    assert traffic.stuck(1)
+    traffic.leaves_route(1)
+    traffic.over(1, placed=False)
+    # One that waits for nobody's block gives way as before.
+    assert traffic.announce(1, other._replace(goal=AWAY))
+    for lane in traffic.lanes:
+        lane.refused = traffic.changes
+    assert traffic.stuck(0)
+
+
+def test_nothing_is_fetched_behind_a_block_that_is_put_back(crew: Pair) -> None:
+    """Each arm would put back what it fetched behind the other one's block, again and again."""
+    both = Together(crew, WatchedCell)
+    lane = both.traffic.lanes[1]
+    lane.route = route(RIGHT, [RIGHT.home, RIGHT.home])
+    both.moves[1] = crew.found[1].order.steps[0].block
+    asked: list[int] = []
+    both.buildings[0].known.choose = lambda: asked.append(0)
+    for lane.in_vain, lane.on_route in ((True, True), (False, False)):
+        assert not both._fetch(0, print)
+        assert not asked
+    lane.in_vain, lane.on_route = False, True
+    assert not both._fetch(0, print)
+    assert asked
+
+
+@pytest.mark.parametrize("name", ["house-small", "bridge"])
+def test_each_arm_has_its_magazines_on_its_own_side(name: str) -> None:
+    """And none inside what is built."""
+    kit = load_kit(DEFAULT_KIT).at_pitch((0.032, 0.032, 0.032))
+    plan = plan_cells(CellDesign(name, SHAPES[name](), kit.pitch, None, 0.0, None, "", None), kit)
+    assert plan.assembly is not None
+    members = set_up_team(plan.assembly, SITE_ARMS, Site())
+    hull = shapely.union_all([p.face() for p in members[0].job.pieces]).convex_hull
+    for member, other in zip(members, reversed(members), strict=True):
+        for source in member.job.sources:
+            at = np.array([source.pose.x, source.pose.y])
+            own, far = (np.linalg.norm(at - one.job.base) for one in (member, other))
+            assert own < far
+            assert not source.area.intersects(hull)
 
 
 class Still:

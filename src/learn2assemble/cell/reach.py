@@ -71,6 +71,9 @@ FOLDED = 0.35
 """Nearer to the base an arm has to fold so far that there is no steady way down [m]."""
 CLEAR, APART = 0.06, 0.01
 """Between magazines and the structure, and between two of them [m]."""
+OWN_SIDE, BEYOND = 0.1, 4.0
+"""Of two arms, each has its magazines so far on its own side of the middle [m], or pays for what
+is missing of it so many times."""
 HAND_CLEAR = 0.14
 """The same where bricks are held by fingers this way and that, whose hand is wide [m]."""
 OVERHEAD = 0.5
@@ -423,11 +426,20 @@ def with_home(
     return arm
 
 
-def supplied(job: Job, given: Sequence[Source], site: Site, others: Sequence[Any] = ()) -> Job:
+def supplied(
+    job: Job,
+    given: Sequence[Source],
+    site: Site,
+    others: Sequence[Any] = (),
+    across: np.ndarray | None = None,
+) -> Job:
     """The job with magazines for what the layout gives no source for.
 
     Args:
         others: shapely areas that are taken already.
+        across: float64[2], the base of an arm that builds, too, from the other side [m]: each has
+            its magazines on its own side, and none inside what is built, where it would bend over
+            the other one's way.
 
     Raises:
         InputError: where there is no room.
@@ -441,7 +453,8 @@ def supplied(job: Job, given: Sequence[Source], site: Site, others: Sequence[Any
     finished = replace(job, sources=())
     cell = KinematicCell(job.arm, cells_of(job))
     clear = HAND_CLEAR if job.assembly.holds else CLEAR
-    structure = shapely.union_all([p.face() for p in job.pieces]).buffer(clear)
+    structure = shapely.union_all([p.face() for p in job.pieces])
+    structure = (structure if across is None else structure.convex_hull).buffer(clear)
     taken = [*others, *(source.area.buffer(APART) for source in given)]
     taken += [outline(o).buffer(2 * APART) for o in job.obstacles if o.bottom < OVERHEAD]
     taken.append(shapely.Point(*job.base).buffer(0.16))
@@ -449,8 +462,9 @@ def supplied(job: Job, given: Sequence[Source], site: Site, others: Sequence[Any
     made: list[Source] = []
     for shape in missing:
         blocked = shapely.union_all([structure, *taken])
-        place = next(_magazine_places(finished, cell, shape, blocked, table, True), None)
-        place = place or next(_magazine_places(finished, cell, shape, blocked, table), None)
+        terms = finished, cell, shape, blocked, table, across
+        place = next(_magazine_places(*terms, back=True), None)
+        place = place or next(_magazine_places(*terms), None)
         if place is None:
             of_shape = [piece for piece in job.pieces if piece.shape == shape]
             if job.hands and all(piece.prop for piece in of_shape):
@@ -470,7 +484,13 @@ def cells_of(job: Job) -> int:
 
 
 def _magazine_places(
-    job: Job, cell: KinematicCell, shape: Shape, blocked: Any, table: Any, back: bool = False
+    job: Job,
+    cell: KinematicCell,
+    shape: Shape,
+    blocked: Any,
+    table: Any,
+    across: np.ndarray | None,
+    back: bool = False,
 ) -> Iterator[Pose]:
     """Poses at which blocks of a shape can be taken with the finished structure there, however
     they wait, and if ``back`` those that are taken away from it can be put."""
@@ -490,6 +510,9 @@ def _magazine_places(
     grid = grid[(away > FOLDED) & (away < FARTHEST)]
     # Near the structure, and rather between it and the arm than behind it.
     cost = np.linalg.norm(grid, axis=1) + 0.3 * np.linalg.norm(grid - job.base, axis=1)
+    if across is not None:
+        way = (across - job.base) / max(float(np.linalg.norm(across - job.base)), 1e-9)
+        cost += BEYOND * np.maximum((grid - (job.base + across) / 2) @ way + OWN_SIDE, 0.0)
     mine = slice(-len(shape), None)
     tried = 0
     for x, y in grid[np.argsort(cost, kind="stable")].tolist():

@@ -12,6 +12,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep
 from learn2assemble.cell.crew import ArmCrew, Member
 from learn2assemble.cell.pieces import Piece, pieces_of, with_rests
@@ -192,8 +194,9 @@ def set_up_team(assembly: Assembly, arms: Sequence[SiteArm], site: Site) -> list
     taken += [outline(o) for o in obstacles]
     members: list[Member] = []
     used: set[str] = set()
-    for one in found.arms:
+    for number, one in enumerate(found.arms):
         base = _base_of(one)
+        across = np.array(_base_of(found.arms[1 - number])[:2])
         arm = place_arm(one.arm, one.tool or TOOL, base)
         mine = with_rests(pieces, arm)
         given = given_sources(site, mine, order)
@@ -205,7 +208,7 @@ def set_up_team(assembly: Assembly, arms: Sequence[SiteArm], site: Site) -> list
             given = [source for source in given if _reaches(arm, source, mine)]
         used |= {source.name for source in given}
         job = Job(mine, steps, assembly, arm, (), obstacles, assembly.friction)
-        job = supplied(replace(job, arm=resting(arm, base[3], mine)), given, site, taken)
+        job = supplied(replace(job, arm=resting(arm, base[3], mine)), given, site, taken, across)
         taken += [source.area.buffer(APART) for source in job.sources if source not in given]
         members.append(Member(one.name, job))
     for n, magazine in enumerate(site.magazines):

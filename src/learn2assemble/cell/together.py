@@ -338,7 +338,12 @@ class Together(Generic[Cell]):
         """An attempt with a block that comes after the one that the other arm moves, which is taken
         to stand already while that is chosen; False where there is none."""
         building, known = self.buildings[who], self.buildings[who].known
-        route, tried = self.traffic.other(who).route, self.behind[who]
+        other, tried = self.traffic.other(who), self.behind[who]
+        route = other.route
+        if other.in_vain or not other.on_route:
+            # It is about to put its block back: what is fetched behind that is put back, too, and
+            # so on.
+            return False
         if not self._expects(who) or building.world.spread.any():
             # Nothing comes, or where it is to stand is not exactly where it will.
             return False

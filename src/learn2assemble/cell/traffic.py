@@ -304,13 +304,15 @@ class Traffic:
 
     def stuck(self, who: int) -> bool:
         """Whether an arm that was told to wait would wait for ever; of two that wait for each other
-        the one that is on its route gives way."""
+        that gives way whose block comes after the other one, else one that is on its route."""
         lane, other = self.lanes[who], self.other(who)
         if lane.refused != self.changes:
             return False
         if other.route is None:
             return True
-        return other.refused == self.changes and (lane.on_route or not other.on_route)
+        if other.refused != self.changes or (other.behind and other.behind is lane.route):
+            return False  # Where the first one gave way, what comes after it would be in vain, too.
+        return bool(lane.behind) or lane.on_route or not other.on_route
 
     def _of(self, lane: Lane, motion: Motion) -> Sweep:
         """What a motion sweeps; remembered while an arm waits with it."""
