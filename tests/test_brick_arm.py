@@ -243,3 +243,17 @@ def test_what_an_arm_cannot_press_is_refused() -> None:
     mortar = replace(WALL, joint=Joint("mortar", tensile=1e5, shear=1e5))
     with pytest.raises(InputError, match="lays no mortar"):
         l2a.build(mortar, arm="panda")
+
+
+def test_what_one_arm_finds_no_order_for_is_told_what_would_help(tmp_path: Path) -> None:
+    """A tower whose top leans out by two studs a layer, and comes down again on nothing: it has to
+    be held while bricks are pressed on, or one put on from below."""
+    at = [(8, k) for k in range(1, 9)] + [(6, 9), (4, 10), (2, 11), (0, 10)]
+    (tmp_path / "cliff.txt").write_text("\n".join(f"2x4 (0,{y},{z})" for y, z in at))
+    cliff = l2a.read_assembly(tmp_path / "cliff.txt", kit="lego")
+    plan = l2a.build(cliff, arm="panda", tool="gripper")
+    assert plan.status == "refused"
+    assert "hands that hold may help" in (plan.reason or "")
+    with_hands = l2a.build(cliff, hands=True)
+    assert with_hands.complete
+    assert any(step.action == "hold" for step in with_hands.steps)
