@@ -44,8 +44,10 @@ def stands_by_joints(assembly: Assembly) -> JointAnswer:
         expected = "a block with a face on z = 0, or a support block"
         raise InputError(where, float(low.vertices[:, 2].min()), expected)
     balance = Balance(assembly, forces)
-    if balance.count > _MANY and (near := NearForces(balance, forces).need()) is not None:
-        return JointAnswer(near, False, balance, forces)
+    if balance.count > _MANY:
+        near = NearForces(balance, forces, thorough=False).need()
+        if near is not None:
+            return JointAnswer(near, False, balance, forces)
     need = balance.need()
     beside = Columns(*(field[~forces.upright] for field in forces.columns))
     if need.stands or not len(beside.b) or not balance.lessened_by(beside):

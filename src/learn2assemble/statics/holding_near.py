@@ -91,9 +91,11 @@ class NearForces:
     Args:
         balance: the program of all bricks.
         forces: that it was made of.
+        thorough: whether a program is asked for the forces of all bricks where spreading what they
+            lack finds none; :meth:`need` asks one of its own.
     """
 
-    def __init__(self, balance: Balance, forces: Forces) -> None:
+    def __init__(self, balance: Balance, forces: Forces, thorough: bool = True) -> None:
         self.balance = balance
         count = balance.count
         even, level = _even(balance, forces), np.isinf(balance.columns.lower)
@@ -117,11 +119,11 @@ class NearForces:
         self._pushed = count + 1
         """Bricks below which pushes alone are tried."""
         everything = np.ones(count, bool)
-        self.begin(everything, ~everything)
+        self.begin(everything, ~everything, thorough)
 
-    def begin(self, present: np.ndarray, held: np.ndarray) -> None:
+    def begin(self, present: np.ndarray, held: np.ndarray, thorough: bool = True) -> None:
         """Go on from a state that stands, where it does so with strength to spare."""
-        made = self._elastic(present, held, thorough=True)
+        made = self._elastic(present, held, thorough)
         if made is not None:
             self._keep(present, held, made.state.size)
 
