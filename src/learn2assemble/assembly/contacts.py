@@ -211,16 +211,14 @@ def _met(faces: Contacts, found: Sequence[point_contacts.PointPatch]) -> np.ndar
     What is a little above all that it lies on comes down on that; what touches some of it need not
     come to touch the rest, and where it rolls or slides instead, that carries nothing.
     """
-    lowest: dict[int, float] = {}
-    for a, b, up in zip(faces.a.tolist(), faces.b.tolist(), faces.normal[:, 2], strict=True):
-        if abs(up) > SIDE:
-            lowest[b if up > 0 else a] = 0.0
-    ends = [(p.b if p.normal[2] > 0 else p.a, p) for p in found if abs(p.normal[2]) > SIDE]
-    for upper, patch in ends:
-        lowest[upper] = min(lowest.get(upper, patch.gap), patch.gap)
-    over = {id(patch): max(lowest[upper], 0.0) for upper, patch in ends}
-    gaps = np.array([patch.gap - over.get(id(patch), 0.0) for patch in found])
-    return gaps <= _TOUCHES
+    gap = np.array([patch.gap for patch in found])
+    bed = np.array([abs(patch.normal[2]) > SIDE for patch in found])
+    upper = np.array([patch.b if patch.normal[2] > 0 else patch.a for patch in found])
+    above = np.where(faces.normal[:, 2] > 0, faces.b, faces.a)[np.abs(faces.normal[:, 2]) > SIDE]
+    lowest = np.full(max(int(upper.max()), int(above.max(initial=0))) + 1, np.inf)
+    np.minimum.at(lowest, upper[bed], gap[bed])
+    lowest[above] = 0.0
+    return gap - np.where(bed, np.maximum(lowest[upper], 0.0), 0.0) <= _TOUCHES
 
 
 def widened(contacts: Contacts, distance: float) -> Contacts:
