@@ -21,7 +21,7 @@ from l2a_lab.two_arms import ARMS as ARM_NAMES
 from l2a_lab.two_arms import EIGHT, SETS, names, summary
 from learn2assemble.assembly.kit import DEFAULT_KIT, load_kit
 from learn2assemble.cell.pair import BESIDE, HAND, Pair, gather, lower_beside
-from learn2assemble.cell.site import Site
+from learn2assemble.cell.site import Obstacle, Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import set_up_team
 from learn2assemble.cell.together import Together
@@ -259,6 +259,32 @@ def test_each_arm_has_its_magazines_on_its_own_side(name: str) -> None:
             own, far = (np.linalg.norm(at - one.job.base) for one in (member, other))
             assert own < far
             assert not source.area.intersects(hull)
+
+
+def test_where_there_is_no_room_else_magazines_lie_inside_what_is_built() -> None:
+    """Of a ring with obstacles all round; by preference none lies there."""
+    size, half, high = 0.1, 0.25, 0.04
+    ring = []
+    for k in range(5):
+        low = -half + k * size
+        for n, y in enumerate((-half - 0.04, half)):
+            at = (low, y, 0.0), (low + size, y + 0.04, high)
+            ring.append(l2a.box_block(f"x{n}{k}", *at))
+            ring.append(l2a.box_block(f"y{n}{k}", (y, low, 0.0), (y + 0.04, low + size, high)))
+    around = tuple(
+        Obstacle(middle, (*wide, 0.02))
+        for way in (-1, 1)
+        for middle, wide in (((0.0, 0.75 * way), (2.4, 0.75)), ((0.75 * way, 0.0), (0.75, 0.74)))
+    )
+    inside = shapely.box(-half, -half, half, half)
+    arms = [
+        one._replace(base=(0.0, 0.55 * k, 0.0, -k * np.pi / 2))
+        for k, one in zip((-1, 1), SITE_ARMS, strict=True)
+    ]
+    for obstacles, there in (((), False), (around, True)):
+        members = set_up_team(l2a.Assembly(tuple(ring)), arms, Site(obstacles=obstacles))
+        for source in (s for member in members for s in member.job.sources):
+            assert source.area.within(inside) == there
 
 
 class Still:

@@ -7,6 +7,7 @@ that stands by then, on one branch of solutions. Whether links touch anything on
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -439,7 +440,7 @@ def supplied(
         others: shapely areas that are taken already.
         across: float64[2], the base of an arm that builds, too, from the other side [m]: each has
             its magazines on its own side, and none inside what is built, where it would bend over
-            the other one's way.
+            the other one's way, if there is room elsewhere.
 
     Raises:
         InputError: where there is no room.
@@ -454,17 +455,24 @@ def supplied(
     cell = KinematicCell(job.arm, cells_of(job))
     clear = HAND_CLEAR if job.assembly.holds else CLEAR
     structure = shapely.union_all([p.face() for p in job.pieces])
-    structure = (structure if across is None else structure.convex_hull).buffer(clear)
+    # Where it is best to look for places, and where there may be some yet.
+    sides: list[tuple[Any, np.ndarray | None]] = [(structure.buffer(clear), None)]
+    if across is not None:
+        sides.insert(0, (structure.convex_hull.buffer(clear), across))
     taken = [*others, *(source.area.buffer(APART) for source in given)]
     taken += [outline(o).buffer(2 * APART) for o in job.obstacles if o.bottom < OVERHEAD]
     taken.append(shapely.Point(*job.base).buffer(0.16))
     table = shapely.box(*(-np.array(site.table) / 2), *(np.array(site.table) / 2))
     made: list[Source] = []
     for shape in missing:
-        blocked = shapely.union_all([structure, *taken])
-        terms = finished, cell, shape, blocked, table, across
-        place = next(_magazine_places(*terms, back=True), None)
-        place = place or next(_magazine_places(*terms), None)
+        found = (
+            _magazine_places(
+                finished, cell, shape, shapely.union_all([kept, *taken]), table, side, b
+            )
+            for kept, side in sides
+            for b in (True, False)
+        )
+        place = next(itertools.chain.from_iterable(found), None)
         if place is None:
             of_shape = [piece for piece in job.pieces if piece.shape == shape]
             if job.hands and all(piece.prop for piece in of_shape):
@@ -490,10 +498,11 @@ def _magazine_places(
     blocked: Any,
     table: Any,
     across: np.ndarray | None,
-    back: bool = False,
+    back: bool,
 ) -> Iterator[Pose]:
     """Poses at which blocks of a shape can be taken with the finished structure there, however
-    they wait, and if ``back`` those that are taken away from it can be put."""
+    they wait, and if ``back`` those that are taken away from it can be put; those on the side of
+    the arm first where another one's base is ``across``."""
     import shapely
 
     world = WorkcellBlocks(replace(job, sources=()))
