@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.statics.block_factors import BlockMatrix
+from learn2assemble.statics.block_factors import BlockMatrix, Springs
 
 
 def touching(count: int, share: float, rng: np.random.Generator) -> np.ndarray:
@@ -91,3 +91,39 @@ def test_what_has_no_answer_has_none(count: int) -> None:
     assert matrix.solve(np.ones((count, 6))) is None
     matrix.data[:count] = np.eye(6)
     assert matrix.solve(np.ones((count, 6))) == pytest.approx(np.ones((count, 6)))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    count=st.integers(1, 30),
+    share=st.floats(0, 4),
+    parts=st.sampled_from([(2, 3, 4), tuple(range(6))]),
+    seed=st.integers(0, 2**31),
+)
+def test_springs_push_as_those_of_a_dense_matrix(
+    count: int, share: float, parts: tuple[int, ...], seed: int
+) -> None:
+    """Random springs between bodies and to the ground, of which some bodies are held."""
+    rng = np.random.default_rng(seed)
+    a, b = rng.integers(-1, count, (2, int(share * count) + 3))
+    a[(a == b) | (b < 0)], b[b < 0] = -1, 0
+    sides = rng.normal(size=(2, len(b), 6))
+    sides[0, a < 0] = 0.0
+    springs = Springs(sides, (a, b), count)
+    for _ in range(3):
+        free = rng.random(count) < 0.7
+        columns = np.flatnonzero(rng.random(len(b)) < 0.8)
+        stiff, load = rng.random(len(columns)) + 0.1, rng.normal(size=(count, 6))
+        factors = springs.factors(free, columns, stiff, parts, 0.5)
+        assert factors is not None
+        across = np.zeros((len(columns), count, 6))
+        for i, k in enumerate(columns.tolist()):
+            across[i, b[k]] = sides[1, k]
+            if a[k] >= 0:
+                across[i, a[k]] = sides[0, k]
+        across = across[:, free][..., list(parts)].reshape(len(columns), -1)
+        matrix = across.T @ (stiff[:, None] * across)
+        matrix += 0.5 * np.eye(len(matrix))
+        motion = np.linalg.solve(matrix, load[free][:, list(parts)].reshape(-1))
+        wanted = stiff * (across @ motion)
+        assert factors.spread(load) == pytest.approx(wanted, rel=1e-7, abs=1e-9)

@@ -6,11 +6,12 @@ reaches a solver is finite, closed and has a volume.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Annotated, Any, Literal, TypedDict, Unpack
+from typing import Annotated, Any, Literal, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 
@@ -381,6 +382,49 @@ def box_block(id: str, lower: Sequence[float], upper: Sequence[float], **kwargs:
     return Block(id, bounds[_BOX_CORNERS, np.arange(3)], _BOX_FACES, **kwargs)
 
 
+class Box(NamedTuple):
+    """What :func:`box_blocks` makes a block of; fields as those of :class:`Block`."""
+
+    id: str
+    kind: str
+    density: float
+    colour: Colour | None = None
+
+
+def box_blocks(boxes: Sequence[Box], lower: np.ndarray, upper: np.ndarray) -> list[Block]:
+    """Axis-aligned boxes as blocks: as :func:`box_block` of each, but all are looked at together,
+    as models have thousands.
+
+    Args:
+        boxes: n of them.
+        lower: float64[n, 3], smallest x, y, z [m].
+        upper: float64[n, 3], largest x, y, z [m].
+    """
+    edges = upper - lower
+    volumes, middles, extents = edges.prod(1), (lower + upper) / 2, edges.max(1)
+    far = np.maximum(np.abs(lower), np.abs(upper)).max(1, initial=0.0)
+    thin = volumes <= THINNEST * extents**3
+    odd = ~((edges > 0).all(1) & ~thin & (far <= LARGEST))
+    densities = np.array([box.density for box in boxes], float)
+    odd |= ~((densities > 0) & (densities <= LARGEST))
+    odd |= np.array([not 0 < len(box.id) <= 200 for box in boxes], bool)
+    for number in np.flatnonzero(odd)[:1].tolist():  # Says what is wrong.
+        id_, kind, density, colour = boxes[number]
+        low, high = lower[number], upper[number]
+        box_block(id_, low.tolist(), high.tolist(), kind=kind, density=density, colour=colour)
+    corners = np.where(_BOX_CORNERS, upper[:, None], lower[:, None])
+    corners.setflags(write=False)
+    rest = {"faces": _BOX_FACES, "support": False, "prop": False}
+    made = []
+    sizes = volumes.tolist(), extents.tolist()
+    for box, vertices, middle, volume, extent in zip(boxes, corners, middles, *sizes, strict=True):
+        block = object.__new__(Block)
+        known = {"vertices": vertices, "extent": extent, "_moments": (volume, middle)}
+        block.__dict__.update(box._asdict(), **rest, **known)
+        made.append(block)
+    return made
+
+
 def hull_block(id: str, points: Sequence[Sequence[float]] | np.ndarray, **kwargs: Any) -> Block:
     """The convex hull of points as a block, each of its plane faces as one polygon.
 
@@ -429,10 +473,11 @@ def _vertices(vertices: Sequence[Sequence[float]] | np.ndarray, where: str) -> n
         raise InputError(f"{where}: vertices", vertices, "numbers of shape (V, 3)") from None
     if array.ndim != 2 or array.shape[1] != 3 or not 4 <= len(array) <= MAX_VERTICES:
         raise InputError(f"{where}: vertices", array.shape, f"shape (4..{MAX_VERTICES}, 3)")
-    if not np.isfinite(array).all():
+    farthest = float(np.abs(array).max())
+    if not math.isfinite(farthest):
         raise InputError(f"{where}: vertices", "NaN or infinity", "finite coordinates")
-    if np.abs(array).max() > LARGEST:
-        raise InputError(f"{where}: vertices", float(np.abs(array).max()), "at most 1e6 [m]")
+    if farthest > LARGEST:
+        raise InputError(f"{where}: vertices", farthest, "at most 1e6 [m]")
     return array
 
 

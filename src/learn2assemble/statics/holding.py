@@ -33,6 +33,7 @@ from learn2assemble.statics.holding_solver import (
     by_cones,
     new_solver,
 )
+from learn2assemble.statics.holding_start import first_basis
 
 MOST_G = 10.0
 """Margins are cut here [g]."""
@@ -60,6 +61,8 @@ class Need(NamedTuple):
     do at any strength."""
     forces: np.ndarray
     """float64[n]: of the columns [N]; zero where it does not stand."""
+    least: bool = True
+    """Whether no smaller share does; else it is one of which forces are known."""
 
     @property
     def stands(self) -> bool:
@@ -176,20 +179,17 @@ class Balance:
 
     def _matrix(self, columns: Columns, centre: np.ndarray) -> sp.csc_matrix:
         """Wrenches of unit forces on the blocks, couples over a length."""
-        rows, which, values = [], [], []
-        for body, sign in ((columns.b, 1.0), (columns.a, -1.0)):
-            on = np.flatnonzero((body >= 0) & ~self.fixed[body])
-            of = body[on]
-            arm = columns.at[on] - centre[of]
-            couple = (cross_rows(arm, columns.force[on]) + columns.couple[on]) / self._length
-            wrench = sign * np.concatenate([columns.force[on], couple], 1)
-            at, part = np.nonzero(np.abs(wrench) > 1e-12)
-            rows.append(6 * of[at] + part)
-            which.append(on[at])
-            values.append(wrench[at, part])
-        index = np.concatenate(rows), np.concatenate(which)
-        shape = 6 * self.count, len(columns.b)
-        return sp.csc_matrix((np.concatenate(values), index), shape)
+        body = np.stack([columns.b, columns.a], 1)
+        arm = columns.at[:, None] - centre[body]
+        force = columns.force[:, None] * [[1.0], [-1.0]]
+        couple = columns.couple[:, None] * [[1.0], [-1.0]]
+        turning = cross_rows(arm.reshape(-1, 3), force.reshape(-1, 3)).reshape(arm.shape)
+        wrench = np.concatenate([force, (turning + couple) / self._length], 2)
+        borne = (body >= 0) & ~self.fixed[body]
+        there = (np.abs(wrench) > 1e-12) & borne[..., None]
+        row = (6 * body[..., None] + np.arange(6))[there]
+        start = np.append(0, there.sum((1, 2)).cumsum())
+        return sp.csc_matrix((wrench[there], row, start), (6 * self.count, len(body)))
 
     def _load(self, push: np.ndarray, sideways: np.ndarray | None) -> np.ndarray:
         """float64[6 count]: what forces have to balance, in mean weights.
@@ -299,14 +299,35 @@ class Balance:
             found = self._by_cones(load, there, free)
             if found is not None and abs(found.share - 1.0) > _CLOSE:
                 return found
-        self._started = True
         self._aim(True)
+        if not self._started and not hands:
+            self._begin(there, free)
+        self._started = True
         with held_meanwhile(self._solver, self._held(hands, free), self.count):
             fits, x = self._run()
         if not fits:
             return Need(np.inf, x[: self._width])
         share = float(max(x[self._width], 0.0))
         return Need(share, x[: self._width] * self.unit)
+
+    def _begin(self, there: np.ndarray, free: np.ndarray) -> None:
+        """Give the solver forces to begin from, where such are known."""
+        if not there.all():
+            return
+        found = first_basis(self.columns, self.weight, self._centre, free)
+        if found is None:
+            return
+        basic, rows = found
+        at = highspy.HighsBasisStatus
+        level = np.isinf(self.columns.lower)
+        basis = highspy.HighsBasis()
+        basis.col_status = [
+            at.kBasic if one else at.kZero if any_way else at.kLower
+            for one, any_way in zip(basic.tolist(), level.tolist(), strict=True)
+        ] + [at.kLower]
+        basis.row_status = [at.kBasic if one else at.kLower for one in rows.reshape(-1).tolist()]
+        basis.valid = True
+        self._solver.setBasis(basis)
 
     def lessened_by(self, columns: Columns) -> bool:
         """Whether further forces could lessen the need of all blocks that was asked last: not where

@@ -12,10 +12,10 @@ from learn2assemble.assembly.joints import Joint
 from learn2assemble.errors import InputError
 from learn2assemble.statics.holding import Balance, Need
 from learn2assemble.statics.holding_forces import Columns, Forces, forces_of
-from learn2assemble.statics.holding_near import NearForces
+from learn2assemble.statics.holding_near import MANY, NearForces
 
-_MANY = 1000
-"""Blocks from which forces that need a small share of the strength are an answer, not the least."""
+_FEW = 30
+"""Blocks up to which the least strength they need takes no longer than any forces."""
 
 
 class JointAnswer(NamedTuple):
@@ -28,9 +28,14 @@ class JointAnswer(NamedTuple):
     forces: Forces
 
 
-def stands_by_joints(assembly: Assembly) -> JointAnswer:
+def stands_by_joints(assembly: Assembly, least: bool = True) -> JointAnswer:
     """Whether an assembly stands on what weight and joints press together, else with faces side by
     side that push, too.
+
+    Args:
+        least: whether the least strength is wanted with which it does; any forces take less time.
+            Of more than :data:`~learn2assemble.statics.holding_near.MANY` blocks no one looks for
+            it.
 
     Raises:
         InputError: where nothing stands on a support or the ground; see
@@ -44,7 +49,7 @@ def stands_by_joints(assembly: Assembly) -> JointAnswer:
         expected = "a block with a face on z = 0, or a support block"
         raise InputError(where, float(low.vertices[:, 2].min()), expected)
     balance = Balance(assembly, forces)
-    if balance.count > _MANY:
+    if balance.count > (MANY if least else _FEW):
         near = NearForces(balance, forces, thorough=False).need()
         if near is not None:
             return JointAnswer(near, False, balance, forces)
@@ -69,7 +74,10 @@ def reference(assembly: Assembly) -> Joint | None:
 def words_of(need: Need) -> str:
     """What an answer rests on, in words."""
     if need.stands:
-        return f"forces balance the blocks with {need.share:.1%} of the strength of their joints"
+        most = "" if need.least else "at most "
+        return (
+            f"forces balance the blocks with {most}{need.share:.1%} of the strength of their joints"
+        )
     if np.isfinite(need.share):
         return (
             f"forces would balance the blocks with {need.share:.4g} times the strength of their "
@@ -84,6 +92,15 @@ def margin_n(share: float, joint: Joint | None) -> float | None:
     if joint is None or not np.isfinite(share):
         return None
     return joint.capacity * (1.0 - share)
+
+
+def margin_of(found: JointAnswer, joint: Joint | None) -> float | None:
+    """The margin of :func:`margin_n` of an answer: the largest, but of more than
+    :data:`~learn2assemble.statics.holding_near.MANY` blocks one that they have for certain."""
+    need = found.need
+    if not need.least and found.balance.count <= MANY:
+        need = found.balance.need()
+    return margin_n(need.share, joint)
 
 
 def corner_forces(found: JointAnswer) -> np.ndarray:

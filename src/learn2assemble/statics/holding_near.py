@@ -17,18 +17,20 @@ than it can, the state stands. Where all fails, nothing is said, and the program
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
 
+from learn2assemble.statics.block_factors import Factors, Springs, sides_of
 from learn2assemble.statics.holding import Balance, Need, Push
 from learn2assemble.statics.holding_forces import Forces
 from learn2assemble.statics.holding_solver import nearest
 from learn2assemble.statics.passing_on import PARTS, JointSums
 
+MANY = 1000
+"""Blocks from which no one looks for the least strength they need."""
 _KEPT = 4
 """States whose forces are kept to go on from."""
 _EXACT = 1e-7
@@ -47,17 +49,11 @@ _LEVEL = 100.0
 _SPARE = 0.02
 """Share of the push that a program of elastic joints leaves everywhere."""
 _SHOWN = 0.1
-"""Share of the strength with which no one looks for the least that many bricks need."""
+"""Share of the strength that many bricks may need, of which no one looks for the least."""
 _FEWER = 0.9
 """Share of the bricks at which pushes alone are tried again, once they did not do."""
 _OPEN = 64
 """Bricks by which states may have more than their base."""
-_SYMMETRIC: Any = {
-    "permc_spec": "MMD_AT_PLUS_A",
-    "diag_pivot_thresh": 0.0,
-    "options": {"SymmetricMode": True},
-}
-"""Factors of a positive definite matrix, without a search for pivots, which would fill them."""
 
 
 class _Balanced(NamedTuple):
@@ -73,16 +69,10 @@ class _Base(NamedTuple):
     """A state, and how it bears more elastically."""
 
     state: _Balanced
-    rows: np.ndarray
-    """int64[m]: of the bricks that nothing holds."""
     columns: np.ndarray
     """int64[n]: forces between its bricks."""
-    stiff: np.ndarray
-    """float64[n]: of these."""
-    across: sp.csr_matrix
-    """[n, m]: motions of these that motions of the bricks bring."""
-    factors: Any
-    """Of their matrix."""
+    factors: Factors
+    """Of the springs that these are."""
 
 
 class NearForces:
@@ -107,7 +97,9 @@ class NearForces:
         a, b = balance.bodies
         self._bodies = a[which], b[which]
         self._matrix = balance.wrench[:, which].tocsr()
-        self._joints = JointSums(self._matrix, self._bodies, count)
+        sides = sides_of(self._matrix, self._bodies, count)
+        self._joints = JointSums(sides, self._bodies, count)
+        self._springs = Springs(sides, self._bodies, count)
         pairs = np.unique(np.column_stack(self._bodies)[~self._level], axis=0)
         self._pairs = pairs.T
         self._below: list[list[int]] = [[] for _ in range(count)]
@@ -128,11 +120,15 @@ class NearForces:
             self._keep(present, held, made.state.size)
 
     def need(self) -> Need | None:
-        """Forces of all blocks that need at most :data:`_SHOWN` of the strength, not the least that
-        do; None where none are found."""
+        """Forces of all blocks, not those that need the least strength; None where none are found.
+
+        Of many blocks they need at most :data:`_SHOWN` of it: what no one looks for the least of.
+        """
         balance, push, even = self.balance, self._even > 0, self._even
         size = self._known[-1].size if self._known else np.zeros(len(even))
-        if (size < (1.0 - _SHOWN) * even).any():
+        if not self._known and balance.count <= MANY:
+            return None
+        if balance.count > MANY and (size < (1.0 - _SHOWN) * even).any():
             rows = np.flatnonzero(np.repeat(~balance.fixed, 6))
             everything = np.ones(balance.count, bool)
             load = self._load(everything, None)
@@ -146,7 +142,7 @@ class NearForces:
         share = 1.0 - float(np.min(size[push] / even[push], initial=1.0))
         found = np.zeros(len(balance.columns.b))
         found[self._which] = (size - (1.0 - share) * even) * balance.unit
-        return Need(share, found)
+        return Need(share, found, least=False)
 
     def _keep(self, present: np.ndarray, held: np.ndarray, size: np.ndarray) -> None:
         self._known = [_Balanced(present.copy(), held.copy(), size), *self._known[: _KEPT - 1]]
@@ -240,8 +236,7 @@ class NearForces:
             lack = np.where(more[:, None], self._lack(load, size, free), 0.0)
             self._joints.pass_on(more, on & ~self._level, lack, size)
         for _ in range(2):  # Once more for what rounding leaves.
-            lack = self._lack(load, size, free).reshape(-1)[base.rows]
-            size[base.columns] += base.stiff * (base.across @ base.factors.solve(lack))
+            size[base.columns] += base.factors.spread(self._lack(load, size, free))
         return size if self._balanced(size, on, free, load) else None
 
     def _lower_part(self, present: np.ndarray, held: np.ndarray) -> np.ndarray | None:
@@ -290,55 +285,62 @@ class NearForces:
             thorough: whether a program is asked where spreading finds none.
         """
         on, free = self._there(present, held)
-        bricks = 6 * np.flatnonzero(free)[:, None]
+        bricks = int(free.sum())
         even = _Balanced(present.copy(), held.copy(), np.where(on, self._even, 0.0))
-        if len(bricks) < self._pushed:
-            rows = (bricks + PARTS).reshape(-1)
-            found = self._spread(even, rows, np.flatnonzero(on & ~self._level))
+        if bricks < self._pushed:
+            pushes = np.flatnonzero(on & ~self._level)
+            found = self._spread(even, tuple(PARTS.tolist()), pushes)
             if found is not None:
                 return found
-            self._pushed = int(_FEWER * len(bricks))
-        rows, columns = (bricks + np.arange(6)).reshape(-1), np.flatnonzero(on)
+            self._pushed = int(_FEWER * bricks)
+        parts, columns = tuple(range(6)), np.flatnonzero(on)
         for known in self._known[:1]:
             start = even._replace(size=self._continued(known, on))
-            found = self._spread(start, rows, columns)
+            found = self._spread(start, parts, columns)
             if found is not None:
                 return found
-        return self._spread(even, rows, columns, thorough)
+        return self._spread(even, parts, columns, thorough)
 
     def _spread(
-        self, state: _Balanced, rows: np.ndarray, columns: np.ndarray, thorough: bool = False
+        self,
+        state: _Balanced,
+        parts: tuple[int, ...],
+        columns: np.ndarray,
+        thorough: bool = False,
     ) -> _Base | None:
         """What a state lacks spread over some forces, softest where they push most; None where some
         would have to pull more than they can.
 
         Args:
+            parts: of the six rows of a brick those that count.
             thorough: whether a program is asked where it asks too much of some.
         """
         on, free = self._there(state.present, state.held)
         load, size = self._load(state.present, None), state.size.copy()
-        matrix, level = self._matrix[rows][:, columns], self._level[columns]
-        across = matrix.T.tocsr()
+        level = self._level[columns]
         for turn in range(_SPREAD):
             push = np.where(level, self._stiff, size[columns])
-            whole = matrix @ sp.diags(push) @ across + _SOFT * sp.identity(len(rows))
-            factors = splu(whole.tocsc(), **_SYMMETRIC)
-            lack = self._lack(load, size, free).reshape(-1)[rows]
-            more = push * (across @ factors.solve(lack))
+            factors = self._springs.factors(free, columns, push, parts, _SOFT)
+            if factors is None:
+                return None
+            lack = self._lack(load, size, free)
+            more = factors.spread(lack)
             most = float(np.max(np.where(level, 0.0, -more / push), initial=0.0))
             if not np.isfinite(most) or (most > _LOST and not thorough):
                 return None
             if turn == 0 and most > _NEAR and thorough:
                 # Too much for some: with the least energy of all forces that leave some of it.
+                rows = (6 * np.flatnonzero(free)[:, None] + np.array(parts)).reshape(-1)
                 lower = np.where(level, -np.inf, (_SPARE - 1) * self._even[columns])
-                found = nearest(matrix, lack, lower, push)
+                matrix = self._matrix[rows][:, columns]
+                found = nearest(matrix, lack.reshape(-1)[rows], lower, push)
                 if found is None:
                     return None
                 size[columns] += found
             else:
                 size[columns] += min(1.0, _NEAR / max(most, 1e-12)) * more
             if self._balanced(size, on, free, load):
-                return _Base(state._replace(size=size), rows, columns, push, across, factors)
+                return _Base(state._replace(size=size), columns, factors)
         return None
 
     def _balanced(

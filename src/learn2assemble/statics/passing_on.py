@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy.sparse as sp
 from numba import njit
 
 PARTS = np.array([2, 3, 4])
@@ -21,22 +20,17 @@ class JointSums:
     """Pushes by block, to pass on from block to block what is not balanced.
 
     Args:
-        matrix: [6 count, n], wrenches of unit forces on blocks.
+        sides: float64[2, n, 6], of :func:`~learn2assemble.statics.block_factors.sides_of`.
         bodies: int64[n] each, the lower block of a push, or GROUND, and the upper one.
+        count: of the blocks.
     """
 
     def __init__(
-        self, matrix: sp.csr_matrix, bodies: tuple[np.ndarray, np.ndarray], count: int
+        self, sides: np.ndarray, bodies: tuple[np.ndarray, np.ndarray], count: int
     ) -> None:
         a, b = bodies
         n = len(b)
-        whole = np.zeros((2, n, 6))
-        entries = matrix.tocoo()
-        block, part = np.divmod(entries.row, 6)
-        for body, side in zip((a, b), whole, strict=True):
-            mine = body[entries.col] == block
-            side[entries.col[mine], part[mine]] = entries.data[mine]
-        on_a, on_b = np.ascontiguousarray(whole[..., PARTS])
+        on_a, on_b = np.ascontiguousarray(sides[..., PARTS])
         self._sides = a, b, on_a, on_b
         real = np.flatnonzero(a >= 0)
         of = np.concatenate([a[real], b])
@@ -46,13 +40,13 @@ class JointSums:
     def pass_on(self, free: np.ndarray, on: np.ndarray, lack: np.ndarray, size: np.ndarray) -> None:
         """Pass on what blocks lack to those nearer to what is held, and change ``size`` by it."""
         a, b, _, _ = self._sides
-        order, rank = _ranked(self._start, self._pushes, a, b, on, free)
+        order, rank = ranked(self._start, self._pushes, a, b, on, free)
         part = np.ascontiguousarray(lack[:, PARTS])
         _pass_on(order, rank, self._start, self._pushes, self._sides, on, part, size)
 
 
 @njit(cache=True)
-def _ranked(start, columns, a, b, on, free):  # pragma: no cover
+def ranked(start, columns, a, b, on, free):  # pragma: no cover
     """Blocks that nothing holds, from what is held outwards, and how many joints they are from
     it."""
     count = len(free)

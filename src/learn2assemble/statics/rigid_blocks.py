@@ -32,7 +32,7 @@ from learn2assemble.statics.block_forces import MOST_G, Equilibrium, System
 from learn2assemble.statics.hands import NO_HANDS
 from learn2assemble.statics.holding_check import (
     corner_forces,
-    margin_n,
+    margin_of,
     reference,
     stands_by_joints,
     words_of,
@@ -66,50 +66,92 @@ def _standing(
     return Equilibrium(True, method, 0.0, np.empty(0, np.int64), forces, stiffness)
 
 
+class Falling(NamedTuple):
+    """What would hold blocks that fall."""
+
+    force: float
+    """The least that does [N]; 0 where they stand."""
+    moving: tuple[str, ...]
+    """Ids of the blocks that move first."""
+
+
+NOTHING = Falling(0.0, ())
+
+
+class Asked(NamedTuple):
+    """How a check finds what takes longer than its verdict; each is called once, when it is asked
+    for."""
+
+    margin_g: Callable[[], float]
+    falling: Callable[[], Falling]
+    proof: Callable[[float], str]
+    """Given the margin [g]."""
+    margin_n: Callable[[], float | None] = lambda: None
+
+
 @dataclass(frozen=True, eq=False)
 class Check:
     """The answer of :func:`check`.
+
+    Margins, what would hold blocks that fall, and the words of the proof are computed when they are
+    asked for.
 
     Attributes:
         verdict: ``stands`` on what weight presses together (:func:`pressed_patches`), ``stands
             only with tight joints`` where side faces have to press, too, ``falls``, or ``not
             certain`` where it rests on edges or points and whether it falls depends on where
             exactly these lie.
-        margin: gives :attr:`margin_g`.
-        holding_force: least force that would hold it, 0 where it stands [N].
-        moving: ids of the blocks that move first; empty where it stands.
         blocks: how many there are, supports included.
         contacts: all patches; where it ``stands``, those of :func:`pressed_patches` carry.
         forces: float64[C, 3], at the corners of ``contacts`` on block ``b`` [N, world].
         method: what decided; see :class:`Equilibrium`.
-        proof: what was shown, and what was not, in one line. A fixed point is forces that balance
-            and obey Coulomb's law to ``SLIP`` and ``HELD``; where friction is needed other forces
-            may be possible, too, and other programs find none (Kao et al. 2022 solve a nonlinear
-            one). That none was found is no proof of a fall; that RBE has no forces is.
-        seconds: the check took.
-        margin_n: of joints that clutch, what a contact point can pull more than it needs to [N];
-            negative where it falls for that, None where joints do not clutch or none would do.
+        seconds: the verdict took.
+        asked: finds the rest.
     """
 
     verdict: Verdict
-    margin: Callable[[], float]
-    holding_force: float
-    moving: tuple[str, ...]
     blocks: int
     contacts: Contacts
     forces: np.ndarray
     method: str
-    proof: str
     seconds: float
-    margin_n: float | None = None
+    asked: Asked
 
     @cached_property
     def margin_g(self) -> float:
-        """Sideways acceleration [g] it withstands in every direction; 0 where it falls.
+        """Sideways acceleration [g] it withstands in every direction; 0 where it falls."""
+        return self.asked.margin_g()
 
-        Of joints that hold it is computed when it is asked for.
+    @cached_property
+    def margin_n(self) -> float | None:
+        """Of joints that clutch, what a contact point can pull more than it needs to [N]; negative
+        where it falls for that, None where joints do not clutch or none would do."""
+        return self.asked.margin_n()
+
+    @cached_property
+    def _falling(self) -> Falling:
+        return self.asked.falling()
+
+    @property
+    def holding_force(self) -> float:
+        """Least force that would hold it, 0 where it stands [N]."""
+        return self._falling.force
+
+    @property
+    def moving(self) -> tuple[str, ...]:
+        """Ids of the blocks that move first; empty where it stands."""
+        return self._falling.moving
+
+    @cached_property
+    def proof(self) -> str:
+        """What was shown, and what was not, in one line.
+
+        A fixed point is forces that balance and obey Coulomb's law to ``SLIP`` and ``HELD``; where
+        friction is needed other forces may be possible, too, and other programs find none (Kao et
+        al. 2022 solve a nonlinear one). That none was found is no proof of a fall; that RBE has no
+        forces is.
         """
-        return self.margin()
+        return self.asked.proof(self.margin_g)
 
     @property
     def tilt(self) -> float:
@@ -143,46 +185,41 @@ def check(
     check_overlaps(standing, tolerance)
     joints = Joints(standing, tolerance)
     result, contacts, keep, verdict = joints.decide(friction)
-    margin_g = margin(standing, contacts.only(keep), friction) if result.stands else 0.0
     forces = np.zeros_like(contacts.points)
     forces[keep[contacts.patch]] = result.forces
     moving = tuple(standing.blocks[k].id for k in result.moving.tolist())
-    return Check(
-        verdict,
-        lambda: margin_g,
-        result.holding_force,
-        moving,
-        len(standing.blocks),
-        contacts,
-        forces,
-        result.method,
-        _shown(result, margin_g, verdict),
-        time.perf_counter() - started,
+    asked = Asked(
+        lambda: margin(standing, contacts.only(keep), friction) if result.stands else 0.0,
+        lambda: Falling(result.holding_force, moving),
+        lambda margin_g: _shown(result, margin_g, verdict),
     )
+    seconds = time.perf_counter() - started
+    return Check(verdict, len(standing.blocks), contacts, forces, result.method, seconds, asked)
 
 
 def _check_holding(standing: Assembly, started: float) -> Check:
     """The answer for blocks whose joints hold."""
-    found = stands_by_joints(standing)
-    need, joint = found.need, reference(standing)
-    names: tuple[str, ...] = ()
-    holding = 0.0
-    if not need.stands:
+    found = stands_by_joints(standing, least=False)
+    stands = found.need.stands
+
+    def falling() -> Falling:
         holds = found.balance.holding()
-        holding, names = holds.force, tuple(standing.blocks[k].id for k in holds.moving)
-    verdict = FALLS if not need.stands else TIGHT if found.tight else STANDS
+        return Falling(holds.force, tuple(standing.blocks[k].id for k in holds.moving))
+
+    asked = Asked(
+        lambda: found.balance.margin_g() if stands else 0.0,
+        lambda: NOTHING if stands else falling(),
+        lambda _: words_of(found.need),
+        lambda: margin_of(found, reference(standing)),
+    )
     return Check(
-        verdict,
-        found.balance.margin_g if need.stands else lambda: 0.0,
-        holding,
-        names,
+        FALLS if not stands else TIGHT if found.tight else STANDS,
         len(standing.blocks),
         found.forces.contacts,
         corner_forces(found),
         "preload",
-        words_of(need),
         time.perf_counter() - started,
-        margin_n(need.share, joint),
+        asked,
     )
 
 

@@ -5,11 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import MAX_BLOCKS, Assembly, AssemblyStep, Block, box_block
+from learn2assemble.assembly.blocks import (
+    MAX_BLOCKS,
+    Assembly,
+    AssemblyStep,
+    Block,
+    Box,
+    box_blocks,
+)
 from learn2assemble.assembly.kit import Kind, Kit
 from learn2assemble.errors import InputError
 
@@ -75,29 +83,20 @@ def assembly_of(model: BrickModel, kit: Kit, source: str) -> Assembly:
         x, y, z = _extent(kind)
         kinds.setdefault((min(x, y), max(x, y), z), kind)
     ground = min(brick.low[2] for brick in bricks)
-    offset = *model.offset, 0.0
-    blocks = []
-    for number, brick in enumerate(bricks, 1):
+    low = np.array([brick.low for brick in bricks], float) - (0, 0, ground)
+    lower = low * kit.pitch + (*model.offset, 0.0)
+    sizes = np.array([brick.size for brick in bricks], float) * kit.pitch
+    boxes = []
+    for number, (brick, size) in enumerate(zip(bricks, sizes.tolist(), strict=True), 1):
         x, y, z = brick.size
         kind = kinds.get((min(x, y), max(x, y), z))
         if kind is None:
             raise InputError(brick.where, _words(brick.size, kit), _nearest(brick.size, kit))
-        above = brick.low[0], brick.low[1], brick.low[2] - ground
-        low = [o + k * p for o, k, p in zip(offset, above, kit.pitch, strict=True)]
-        size = [k * p for k, p in zip(brick.size, kit.pitch, strict=True)]
-        high = [a + b for a, b in zip(low, size, strict=True)]
         density = kit.density if kind.density is None else kind.density
         if brick.mass is not None:
             density = brick.mass / math.prod(size)
-        made = box_block(
-            f"b{number}",
-            low,
-            high,
-            kind=kind.name,
-            density=density,
-            colour=brick.colour,
-        )
-        blocks.append(made)
+        boxes.append(Box(f"b{number}", kind.name, density, brick.colour))
+    blocks = box_blocks(boxes, lower, lower + sizes)
     steps = tuple(AssemblyStep(place=block.id) for block in blocks) if model.ordered else ()
     return Assembly(tuple(blocks), steps, kit.friction, model.name, joint=kit.joint)
 
@@ -130,21 +129,27 @@ def check_apart(bricks: Sequence[Brick]) -> None:
     Raises:
         InputError: naming two that do.
     """
-    taken: dict[tuple[int, int, int], int] = {}
-    for number, brick in enumerate(bricks):
-        (x, y, z), (a, b, c) = brick.low, brick.size
-        for i in range(x, x + a):
-            for j in range(y, y + b):
-                for k in range(z, z + c):
-                    other = taken.setdefault((i, j, k), number)
-                    if other != number:
-                        raise InputError(
-                            brick.where,
-                            f"a brick in {bricks[other].where}",
-                            "bricks that do not overlap",
-                        )
+    low, size = np.array([brick[:2] for brick in bricks]).reshape(-1, 2, 3).swapaxes(0, 1)
+    count = size.prod(1)
+    owner = np.repeat(np.arange(len(bricks)), count)
+    inside = np.arange(len(owner)) - (np.cumsum(count) - count)[owner]
+    rest, z = np.divmod(inside, size[owner, 2])
+    x, y = np.divmod(rest, size[owner, 1])
+    cells = low[owner] + np.stack([x, y, z], 1)
+    cells -= cells.min(0, initial=0)
+    span = cells.max(0, initial=0) + 1
+    code = (cells[:, 0] * span[1] + cells[:, 1]) * span[2] + cells[:, 2]
+    order = np.argsort(code, kind="stable")
+    twice = np.flatnonzero(np.diff(code[order]) == 0)
+    if len(twice):
+        first = twice[np.argmin(order[twice + 1])]
+        one, other = owner[order[first : first + 2]].tolist()
+        raise InputError(
+            bricks[other].where, f"a brick in {bricks[one].where}", "bricks that do not overlap"
+        )
 
 
+@lru_cache(maxsize=1024)
 def _extent(kind: Kind) -> tuple[int, int, int]:
     x, y, z = (max(along) + 1 for along in zip(*kind.cells, strict=True))
     return x, y, z
