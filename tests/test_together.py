@@ -392,8 +392,9 @@ def test_two_arms_build_together(crew: Pair) -> None:
     # No block came to where it would have been in the way of a lower one.
     placed = [turn.done.block for turn in sorted(both.turns, key=lambda turn: turn.end)]
     assert sorted(placed) == list(range(len(crew.found[0].job.pieces)))
-    for k, lower in both.under.items():
-        assert all(placed.index(n) < placed.index(k) for n in lower)
+    assert all(both.under)
+    for step, lower in (item for under in both.under for item in under.items()):
+        assert all(placed.index(one.block) < placed.index(step.block) for one in lower)
     job = crew.found[0].job
     truth = both.plant.truth()
     for piece in job.pieces:
@@ -598,7 +599,7 @@ def at(*places: float) -> Site:
     ("arms", "options", "words"),
     [
         (("ur5e", "ur5e", "panda"), {}, "3 arms"),
-        (("ur5e", "panda"), {"kit": "lego"}, "one arm, or dry blocks"),
+        (("ur5e", "panda"), {"kit": "lego", "tool": "suction"}, "a cup does not hold on studs"),
         (("ur5e", "panda"), {"layout": at(0.1, 0.2)}, "expected at least 0.32 m"),
         (("ur5e", "panda"), {"layout": at(3.0, 4.0)}, "blocks out of it"),
     ],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -121,6 +121,22 @@ class Structure:
         ):
             self._proven.add(standing)
         return standing in self._proven
+
+    def takes(self, step: StepOf, standing: frozenset[int], world: WorkcellBlocks) -> bool:
+        """Whether what stands bears that a block comes to it: everything stands then, and while
+        that is set down.
+
+        Args:
+            step: which places the block.
+            standing: pieces in their places, some of which may not be there yet in the world.
+            world: which of them are built beside now.
+        """
+        return self.stands(standing | {step.block})
+
+    def made_by(self, block: int, world: WorkcellBlocks) -> set[tuple[int, int]]:
+        """The joints of studs that come home when a block is placed, as
+        :attr:`WorkcellBlocks.home` has them."""
+        return set()
 
     def proof(self, standing: frozenset[int]) -> tuple[str, float] | None:
         """What shows that these pieces stand without the others, and the sideways acceleration
@@ -358,6 +374,23 @@ def try_step(
         return why or ("the tool cannot hold it" if supplied else "no supply")
     finally:
         world.pose[k] = before
+
+
+def where_pressed(
+    structure: Structure, world: WorkcellBlocks, step: StepOf, standing: Set[int]
+) -> tuple[float, float] | None:
+    """Where the block of a step is pressed home, x and y [m]; None: it is not.
+
+    Args:
+        standing: what is in its place by then, in the structure or beside.
+    """
+    beside = np.zeros(3) if step.group else world.beside[step.block]
+    near = {k for k in standing if (world.beside[k] == beside).all()} - {step.block, *step.group}
+    at = structure.press_at(step.block, step.group, near)
+    if at is None:
+        return None
+    place = world.pieces[step.block].pose if step.group else world.target(step.block)
+    return float(place[0] + at[0]), float(place[1] + at[1])
 
 
 def ends_of(world: WorkcellBlocks, step: StepOf) -> Iterator[tuple[np.ndarray | None, np.ndarray]]:

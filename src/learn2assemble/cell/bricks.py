@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.bricks.lattice import GROUND, grip
 from learn2assemble.assembly.bricks.mates import BrickMates, Press
 from learn2assemble.cell.arrange import Structure
-from learn2assemble.cell.workcell import Job
+from learn2assemble.cell.workcell import Job, StepOf
 from learn2assemble.cell.world import STANDING, Rows, WorkcellBlocks
 from learn2assemble.robot.studs import StudJoint, Studs
 from learn2assemble.statics.holding import Balance, Need, Push
@@ -145,7 +145,9 @@ class BrickStructure(Structure):
         self.states = states = BrickStates(job.assembly.finished)
         self.below: list[set[int]] = [set(lower) - {GROUND} for lower in states.mates.lower]
         self.above: list[set[int]] = [set(upper) for upper in states.mates.upper]
-        self._proven = {frozenset[int]()}
+        self._apart: dict[tuple[int, ...], BrickStates] = {}
+        """Of bricks that are built beside."""
+        self._known: dict[tuple[Any, ...], bool] = {}
         self._joints = {
             pair: states.stud_joint(*pair)
             for pair in states.mates.knobs
@@ -208,13 +210,66 @@ class BrickStructure(Structure):
         ]
         return bool(there) and not any(pair in world.home for pair in there)
 
-    def prove(self, standing: frozenset[int]) -> None:
-        """A state that is known to stand, however."""
-        self._proven.add(standing)
+    def made_by(self, block: int, world: WorkcellBlocks) -> set[tuple[int, int]]:
+        """See :meth:`Structure.made_by`."""
+        together = world.together(block)
+        return {
+            (a, b)
+            for a, b in self._joints
+            if block in (a, b)
+            and all(
+                k == block or (world.state[k] == STANDING and together[k])
+                for k in (a, b)
+                if k != GROUND
+            )
+            and not (a == GROUND and world.beside[block].any())
+        }
 
     def stands(self, standing: frozenset[int]) -> bool:
         """Whether these bricks stand without the others."""
-        return standing in self._proven or self.states.stands(standing)
+        return self._stands((), standing)
+
+    def takes(self, step: StepOf, standing: frozenset[int], world: WorkcellBlocks) -> bool:
+        """See :meth:`Structure.takes`: also while the brick, and what it brings along, is pressed
+        home; every part of the structure by itself, as those that are built beside stand alone."""
+        own = (step.block, *step.group)
+        beside = world.beside[: self.states.mates.count].copy()
+        if step.group:
+            beside[list(own)] = 0.0
+        for there in np.unique(beside, axis=0):
+            whole = np.flatnonzero((beside == there).all(1)).tolist()
+            part = frozenset(whole) & (standing | set(own))
+            table = tuple(whole) if there.any() else ()
+            if part and not self._stands(table, part):
+                return False
+            if step.block in part and not self._bears(table, own, part - set(own)):
+                return False
+        return True
+
+    def _stands(self, table: tuple[int, ...], part: frozenset[int]) -> bool:
+        """Whether bricks stand: in the structure, or where those of ``table`` are built beside."""
+        key = table, part
+        if key not in self._known:
+            states, number = self._part(table)
+            self._known[key] = not part or states.stands(frozenset(number[k] for k in part))
+        return self._known[key]
+
+    def _bears(self, table: tuple[int, ...], own: tuple[int, ...], rest: frozenset[int]) -> bool:
+        """Whether bricks that come together are carried while they are pressed home."""
+        key = table, own, rest
+        if key not in self._known:
+            states, number = self._part(table)
+            group, there = [number[k] for k in own], frozenset(number[k] for k in rest)
+            self._known[key] = states.stands_pressed(group, there)
+        return self._known[key]
+
+    def _part(self, table: tuple[int, ...]) -> tuple[BrickStates, dict[int, int]]:
+        """The states of a part, and the number of each of its bricks there."""
+        if not table:
+            return self.states, {k: k for k in range(self.states.mates.count)}
+        if table not in self._apart:
+            self._apart[table] = self.states.on_table(table)
+        return self._apart[table], {k: n for n, k in enumerate(table)}
 
     def proof(self, standing: frozenset[int]) -> tuple[str, float] | None:
         """What shows that these bricks stand without the others, and the sideways acceleration in

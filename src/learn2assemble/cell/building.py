@@ -191,6 +191,14 @@ class Building:
                 action = action._replace(goal=self.known.fitted(k))
             skip = self.known.fails[key] % TRIES
             move, why, rows = self._way(action, skip)
+        placing = action.what in PLACING
+        height, home = UNCERTAIN, None
+        if move is not None and rows is not None:
+            # While what is taken to stand already does so.
+            studs = self.known.structure.joints_of(world, rows, placing, action.group)
+            rows = rows._replace(scene=rows.scene._replace(studs=studs))
+            if placing:
+                height, home = self.known.height(k), self.known.home(k, action.group)
         self.chosen()
         if move is None or rows is None:
             if presented:
@@ -207,16 +215,11 @@ class Building:
         self.recording.sync()  # What was presented or taken in has moved during the last attempt.
         for n in action.group:
             self._ask("join", n, world.pose[n], world.names[k])
-        placing = action.what in PLACING
-        studs = self.known.structure.joints_of(world, rows, placing, action.group)
-        rows = rows._replace(scene=rows.scene._replace(studs=studs))
         lost: PlantError | None = None
         try:
             following = None
             if presented and action.source is not None:
                 following = self._following(k, action.source)
-            height = self.known.height(k) if placing else UNCERTAIN
-            home = self.known.home(k, action.group) if placing else None
             ahead = Ahead(following, height, home)
             came = self.attempts.carry_out(rows, move, k, self.joints, ahead)
         except PlantError as error:

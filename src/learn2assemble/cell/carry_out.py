@@ -16,7 +16,7 @@ from learn2assemble.cell.building import Building, Kept, Prepared
 from learn2assemble.cell.cameras import through_cameras
 from learn2assemble.cell.reach import cells_of, set_up
 from learn2assemble.cell.report import Witness, Worked, arm_report, carried_out, words_of
-from learn2assemble.cell.taking_apart import arrange_bricks, plan_in_order
+from learn2assemble.cell.taking_apart import Hands, arrange_bricks, plan_in_order
 from learn2assemble.cell.workcell import Job, Progress, StepOf, Workcell, job_of
 from learn2assemble.cell.world import OBSTACLE_DENSITY, WorkcellBlocks
 from learn2assemble.geometry.rotations import yaw_quaternion
@@ -55,7 +55,7 @@ def prepare(
     cell = KinematicCell(job.arm, cells_of(job))
     if job.assembly.holds:
         bricks = BrickStructure(job)
-        return Prepared(job, bricks, arrange_bricks(job, bricks, cell, progress), cell)
+        return Prepared(job, bricks, arrange_bricks([Hands(job, cell)], bricks, progress), cell)
     structure = Structure(job)
     return Prepared(job, structure, arrange(job, structure, cell, progress), cell)
 

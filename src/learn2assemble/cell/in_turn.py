@@ -23,8 +23,9 @@ from learn2assemble.cell.crew import ArmCrew, Member, Reached
 from learn2assemble.cell.pair import Pair, jobs_of, workcell_of
 from learn2assemble.cell.reach import cells_of
 from learn2assemble.cell.state import Action
+from learn2assemble.cell.telling import route_of
 from learn2assemble.cell.together import Cell, Together, built_by, simulated
-from learn2assemble.cell.traffic import STANDS, route_of
+from learn2assemble.cell.traffic import STANDS
 from learn2assemble.cell.workcell import TRIES, Progress, Workcell
 from learn2assemble.cell.world import STANDING, Rows, rows_of, supply_of
 from learn2assemble.errors import InputError

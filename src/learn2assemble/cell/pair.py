@@ -11,13 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learn2assemble.cell.arrange import Arranged, Structure, try_step
+from learn2assemble.cell.arrange import Arranged, Structure, try_step, where_pressed
+from learn2assemble.cell.bricks import BrickStructure
 from learn2assemble.cell.building import Prepared
 from learn2assemble.cell.crew import Member
 from learn2assemble.cell.pieces import with_rests
 from learn2assemble.cell.reach import cells_of, with_home
 from learn2assemble.cell.site import Obstacle
-from learn2assemble.cell.workcell import Job, StepOf, Workcell, job_of
+from learn2assemble.cell.workcell import ROOMS, Job, StepOf, Workcell, job_of
 from learn2assemble.cell.world import RETURNED, STANDING, WorkcellBlocks
 from learn2assemble.errors import InputError
 from learn2assemble.planning.plan import Plan
@@ -30,8 +31,15 @@ BESIDE, HAND, LEVEL = 0.5, 0.1, 1e-3
 """No lower block comes down beside a higher one at less than this share of the difference in
 height, as far as a hand reaches [m]; what ends so little above the bottom of another is lower [m].
 """
+FINGERS = 0.03
+"""Bricks that are nearer to each other come one after the other as was found: fingers are as thick,
+and open as far [m]."""
 HOMES = (0.25, 0.3, 0.35)
 """So far in front of its base the tool waits, the preferred one first [m]."""
+
+
+Waits = dict[StepOf, set[StepOf]]
+"""By step, those that come before it."""
 
 
 class Pair(NamedTuple):
@@ -48,20 +56,25 @@ def gather(
     members: Sequence[Member],
     workcell: Workcell,
     joint: float = 1e-4,
+    order: Sequence[StepOf] | None = None,
 ) -> Pair:
     """Two arms with magazines of their own, and for each the steps that it could do.
 
     Args:
-        plan: complete, of dry blocks.
+        plan: complete.
         members: the arms, see :func:`~.team.set_up_team`.
         workcell: how they build; which arm and tool, and what its base is, does not matter.
         joint: width of a vertical joint [m].
+        order: of bricks that clutch, as :func:`~.brick_team.bricks_by_team` has found it.
 
     Raises:
         InputError: for a block that neither can place when its turn in the plan has come.
     """
     first, second = jobs_of(plan, members, workcell, joint)
-    structure, jobs = Structure(first), [first, second]
+    if order is not None:
+        first, second = (replace(job, steps=tuple(order)) for job in (first, second))
+    structure = BrickStructure(first) if first.assembly.holds else Structure(first)
+    jobs = [first, second]
     kinematic = [KinematicCell(job.arm, cells_of(job)) for job in jobs]
     can = [possible(job, structure, cell) for job, cell in zip(jobs, kinematic, strict=True)]
     found, cells = list[Prepared](), list[Workcell]()
@@ -123,16 +136,34 @@ def possible(
     not do the others."""
     world, standing = WorkcellBlocks(job), set[int]()
     steps, stuck = list[StepOf](), dict[int, str]()
+    put_beside(world, job.steps)
     for step in job.steps:
-        why = try_step(world, cell, step, structure.ways_in(step.block, standing))
+        into = structure.ways_in(step.block, standing)
+        press, why = where_pressed(structure, world, step, standing), None
+        for cell.apart in (0.0,) if press is None else ROOMS:
+            why = try_step(world, cell, step, into, press)
+            if why is None:
+                break
         if why is None:
             steps.append(step)
         else:
             stuck[step.block] = why
         standing = standing - {step.block} if step.remove else standing | {step.block}
+        for k in step.group:
+            world.beside[k] = 0.0
+            world.pose[k] = world.target(k)
+        if step.group:
+            world.beside[step.block] = 0.0
         world.pose[step.block] = world.target(step.block)
         world.state[step.block] = RETURNED if step.remove else STANDING
     return steps, stuck
+
+
+def put_beside(world: WorkcellBlocks, steps: Sequence[StepOf]) -> None:
+    """Blocks are to be built beside, where steps say so."""
+    for step in steps:
+        if step.beside is not None:
+            world.beside[step.block] = step.beside
 
 
 def back(job: Job) -> Arm:
@@ -185,6 +216,47 @@ def shared_out(
         return level, step in others, round(way * float(where[step.block, :2] @ along), 6)
 
     return tuple(sorted(steps, key=key))
+
+
+def steps_before(job: Job, structure: Structure, steps: Sequence[StepOf]) -> Waits:
+    """By step, those that come before it, whoever does them, as a hand could not reach past what
+    they leave. Blocks that lean are placed as they are planned.
+
+    Args:
+        job: with all steps, of bricks that clutch in the order that was found.
+        steps: those that are asked about.
+    """
+    if structure.leans:
+        return {}
+    if structure.studs() is not None:
+        return _as_found(job)
+    lower = lower_beside(job)
+    return {
+        step: {one for one in steps if one.block in lower[step.block]}
+        for step in steps
+        if not step.remove and step.block in lower
+    }
+
+
+def _as_found(job: Job) -> Waits:
+    """By step, the earlier ones that are near: where bricks are held by fingers between others,
+    and how far what stands bears a press, hangs on what is there already."""
+    world = WorkcellBlocks(job)
+    put_beside(world, job.steps)
+    bounds = list[tuple[np.ndarray, np.ndarray]]()
+    for step in job.steps:
+        taken = [step.block, *step.group]
+        shift = np.zeros((len(taken), 1, 3)) if step.group else world.beside[taken][:, None]
+        ends = np.array([job.pieces[k].extent for k in taken]) + shift
+        bounds.append((ends[:, 0], ends[:, 1]))
+    found: Waits = {}
+    for n, (step, (low, high)) in enumerate(zip(job.steps, bounds, strict=True)):
+        for one, (under, over) in zip(job.steps[:n], bounds[:n], strict=True):
+            gap = np.maximum(low[:, None] - over[None], under[None] - high[:, None])[..., :2].max(2)
+            rise = np.minimum(BESIDE * (high[:, None, 2] - over[None, :, 2]), HAND)
+            if (gap < np.maximum(rise, FINGERS)).any():
+                found.setdefault(step, set()).add(one)
+    return found
 
 
 def lower_beside(job: Job) -> dict[int, set[int]]:

@@ -75,8 +75,9 @@ CLEAR, APART = 0.06, 0.01
 OWN_SIDE, BEYOND = 0.1, 4.0
 """Of two arms, each has its magazines so far on its own side of the middle [m], or pays for what
 is missing of it so many times."""
-HAND_CLEAR = 0.14
-"""The same where bricks are held by fingers this way and that, whose hand is wide [m]."""
+HAND_CLEAR, HAND_SIDE = 0.14, 0.25
+"""Between magazines and the structure, and on its own side of the middle, where bricks are held by
+fingers this way and that, whose hand is wide [m]."""
 OVERHEAD = 0.5
 """Blocks may wait below obstacles that begin above this [m]."""
 GRID, MOST_TRIED = 0.04, 150
@@ -191,15 +192,19 @@ def extreme(pieces: Sequence[Piece]) -> list[int]:
     return sorted(found)
 
 
-def bases(pieces: Sequence[Piece]) -> Iterator[Base]:
-    """Bases to try, the preferred ones first: before the long side, then before the short one."""
+def bases(pieces: Sequence[Piece], distances: Sequence[float] = DISTANCES) -> Iterator[Base]:
+    """Bases to try, the preferred ones first: before the long side, then before the short one.
+
+    Args:
+        distances: from the middle [m].
+    """
     half = np.max([np.abs(end) for piece in pieces for end in piece.extent], axis=0)
     long = QUARTER if half[0] > half[1] + 0.02 else 0.0
     top = max(p.top for p in pieces)
     for height in HEIGHTS if top > LOW else HEIGHTS[:1]:
         for facing in (long, QUARTER - long):
             depth = half[1] if facing else half[0]
-            for distance in DISTANCES:
+            for distance in distances:
                 if distance - depth >= NEAREST:
                     x, y = -distance * math.cos(facing), -distance * math.sin(facing)
                     yield round(x, 4) + 0.0, round(y, 4) + 0.0, height, facing
@@ -521,7 +526,8 @@ def _magazine_places(
     cost = np.linalg.norm(grid, axis=1) + 0.3 * np.linalg.norm(grid - job.base, axis=1)
     if across is not None:
         way = (across - job.base) / max(float(np.linalg.norm(across - job.base)), 1e-9)
-        cost += BEYOND * np.maximum((grid - (job.base + across) / 2) @ way + OWN_SIDE, 0.0)
+        own = HAND_SIDE if job.assembly.holds else OWN_SIDE
+        cost += BEYOND * np.maximum((grid - (job.base + across) / 2) @ way + own, 0.0)
     mine = slice(-len(shape), None)
     tried = 0
     for x, y in grid[np.argsort(cost, kind="stable")].tolist():

@@ -103,8 +103,8 @@ class Choice:
         """Blocks that another arm is about to place."""
         self.postponed: set[int] = set()
         """Blocks whose way another arm is in."""
-        self.later: set[int] = set()
-        """Blocks that would be in the way of others, which come before."""
+        self.later: set[StepOf] = set()
+        """Steps that would be in the way of others, which come before."""
         self.done: list[Done] = []
         self.fitting: Fitting = Fitting(self.world, structure.studs() is not None)
         self.comes: set[int] = {step.block for step in self.order}
@@ -154,16 +154,16 @@ class Choice:
         for step in self.order:
             if self.satisfied(step):
                 continue
-            if step.block in self.elsewhere | self.postponed:
+            if {step.block, *step.group} & (self.elsewhere | self.postponed):
                 blocked[step.block] = ELSEWHERE
                 continue
             if step.remove:
                 if not ready and not blocked:
                     ready.append(step)
                 break
-            if step.block in self.later or self._missing(step, standing):
+            if step in self.later or self._missing(step, standing):
                 blocked[step.block] = WAITING
-            elif not self._stands_with(step.block, standing):
+            elif not self._stands_with(step, standing):
                 blocked[step.block] = "it would fall"
             else:
                 ready.append(step)
@@ -198,13 +198,13 @@ class Choice:
         piece = self.world.pieces[number]
         return f"{piece.id} ({piece.name}){others} cannot be placed: {why}"
 
-    def _stands_with(self, block: int, standing: set[int]) -> bool:
-        """Whether a block may be placed: everything stands then, whether what another arm is about
-        to place is there or not."""
-        with_it = standing | {block}
+    def _stands_with(self, step: StepOf, standing: set[int]) -> bool:
+        """Whether a step may be done: everything stands then, whether what another arm is about to
+        place is there or not."""
         # What is only put aside comes to no place.
         coming = {k for k in self.elsewhere if k < len(self.job.pieces)}
-        return all(self.structure.stands(frozenset(state)) for state in (with_it, with_it | coming))
+        states = (frozenset(standing), frozenset(standing | coming))
+        return all(self.structure.takes(step, state, self.world) for state in states)
 
     def _left(self, block: int, what: str) -> int:
         return 3 * TRIES - self.fails[block, what]

@@ -10,14 +10,14 @@ and brought as one. Read backwards, that is an order of building.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from learn2assemble.assembly.bricks.lattice import GROUND
-from learn2assemble.cell.arrange import Arranged, try_step
+from learn2assemble.cell.arrange import Arranged, try_step, where_pressed
 from learn2assemble.cell.bricks import BrickStates, BrickStructure
 from learn2assemble.cell.workcell import ROOMS, Job, Offset, Progress, StepOf
 from learn2assemble.cell.world import STANDING, WorkcellBlocks
@@ -39,6 +39,13 @@ _NO_ORDER = (
 )
 APART, GRID = 0.05, 0.04
 """Between what is built beside and everything else, and between places that are tried [m]."""
+
+
+class Hands(NamedTuple):
+    """Who may bring bricks."""
+
+    job: Job
+    cell: KinematicCell
 
 
 class _Subassembly(NamedTuple):
@@ -65,16 +72,22 @@ class _TakenOff(NamedTuple):
 
 
 def arrange_bricks(
-    job: Job,
+    arms: Sequence[Hands],
     structure: BrickStructure,
-    cell: KinematicCell,
     progress: Progress = lambda text: None,
 ) -> Arranged:
-    """The first order in which the arm presses everything home; else why there is none."""
-    every = tuple(range(len(job.pieces)))
+    """The first order in which one of the arms presses every brick home; else why there is none.
+
+    Args:
+        arms: of one cell, who build the same pieces.
+        structure: of these.
+    """
+    every = tuple(range(len(arms[0].job.pieces)))
     part = _Subassembly(every, structure.states, {k: k for k in every})
-    for cell.apart in ROOMS:
-        search = _Disassembly(job, structure, cell, progress)
+    for room in ROOMS:
+        for one in arms:
+            one.cell.apart = room
+        search = _Disassembly(arms, structure, progress)
         steps = search.take_apart(part)
         if steps is not None:
             break
@@ -82,10 +95,6 @@ def arrange_bricks(
         told = sorted(search.stuck, key=lambda k: k not in search.why)
         stuck = {k: search.why.get(k, _NO_ORDER) for k in told}
         return Arranged((), stuck or dict.fromkeys(every, "it falls"))
-    done: set[int] = set()
-    for step in steps:
-        done |= {step.block, *step.group}
-        structure.prove(frozenset(done))
     return Arranged(tuple(steps), {})
 
 
@@ -103,6 +112,23 @@ def plan_in_order(plan: Plan, steps: tuple[StepOf, ...]) -> Plan:
         for number, step in enumerate(order, 1)
     )
     return replace(plan, steps=made)
+
+
+def _order_in_a_level(low: np.ndarray, bases: Sequence[np.ndarray]) -> np.ndarray:
+    """float64[B]: of bricks of one height, those with less are taken off first: those near to one
+    arm, which builds from the far side to the near one; those in the middle between two arms' ends
+    of the structure, as each builds from its own.
+
+    Args:
+        low: float64[B, 2], corners of the bricks [m].
+        bases: float64[2] of each arm [m].
+    """
+    if len(bases) == 1:
+        return np.linalg.norm(low - bases[0], axis=1).round(4)
+    way = bases[1] - bases[0]
+    across = np.array([-way[1], way[0]]) / max(float(np.linalg.norm(way)), 1e-9)
+    along = low @ across
+    return np.abs(along - (along.min() + along.max()) / 2).round(4)
 
 
 class _Removals:
@@ -129,16 +155,16 @@ class _Removals:
 
 
 class _Disassembly:
-    """What an arm can take off, and bring back."""
+    """What arms can take off, and bring back."""
 
     def __init__(
-        self, job: Job, structure: BrickStructure, cell: KinematicCell, progress: Progress
+        self, arms: Sequence[Hands], structure: BrickStructure, progress: Progress
     ) -> None:
-        self.job, self.structure, self.cell, self.progress = job, structure, cell, progress
-        self.world = WorkcellBlocks(job)
-        self._waits = self.world.pose.copy(), list(self.world.state)
-        low = np.array([piece.extent[0] for piece in job.pieces])
-        away = np.linalg.norm((low[:, :2] - job.base), axis=1).round(4)
+        self.arms, self.structure, self.progress = arms, structure, progress
+        self.worlds = [WorkcellBlocks(one.job) for one in arms]
+        self._waits = [(world.pose.copy(), list(world.state)) for world in self.worlds]
+        low = np.array([piece.extent[0] for piece in arms[0].job.pieces])
+        away = _order_in_a_level(low[:, :2], [one.job.base for one in arms])
         self.rank = np.lexsort((away, -low[:, 2].round(4))).tolist()
         self.why: dict[int, str] = {}
         """By brick, why the arm cannot bring it, as was last found."""
@@ -238,17 +264,18 @@ class _Disassembly:
         """Where on the table some bricks may be built, the nearest places first."""
         import shapely
 
-        job, pieces = self.job, self.job.pieces
+        jobs = [one.job for one in self.arms]
+        pieces = jobs[0].pieces
         lying = [pieces[k].face() for k in range(len(pieces))]
-        lying += [source.area for source in job.sources]
+        lying += [source.area for job in jobs for source in job.sources]
         taken = shapely.union_all(lying).buffer(APART)
         face = shapely.union_all([pieces[b].face() for b in bricks])
         ground = min(float(pieces[b].extent[0][2]) for b in bricks)
         middle = np.array([face.centroid.x, face.centroid.y])
         steps = np.arange(-15, 16) * GRID
         shifts = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
-        there = np.linalg.norm(middle + shifts - job.base, axis=1)
-        shifts = shifts[(there > 0.3) & (there < 0.65)]
+        there = np.array([np.linalg.norm(middle + shifts - job.base, axis=1) for job in jobs])
+        shifts = shifts[(there > 0.3).all(0) & (there < 0.65).any(0)]
         shifts = shifts[np.argsort(np.linalg.norm(shifts, axis=1), kind="stable")]
         found = 0
         for x, y in shifts.round(6).tolist():
@@ -261,7 +288,7 @@ class _Disassembly:
     # ------------------------------------------------------------ the arm
 
     def _fits(self, step: StepOf, rest: frozenset[int], part: _Subassembly) -> bool:
-        """Whether the arm can do a step when ``rest`` stands: of the structure, or, where a part is
+        """Whether an arm can do a step when ``rest`` stands: of the structure, or, where a part is
         built beside, of that."""
         staged = frozenset[int]()
         standing = rest
@@ -270,18 +297,23 @@ class _Disassembly:
             standing = part.rest
         key = step, standing, staged, part.beside
         if key not in self._known:
-            self._known[key] = self._reached(step, standing, staged, part.beside)
+            self._known[key] = any(
+                self._reached(number, step, standing, staged, part.beside)
+                for number in range(len(self.arms))
+            )
         return self._known[key]
 
     def _reached(
         self,
+        number: int,
         step: StepOf,
         standing: frozenset[int],
         staged: frozenset[int],
         beside: Offset | None,
     ) -> bool:
-        world = self.world
-        pose, state = self._waits
+        """Whether one of the arms can."""
+        world = self.worlds[number]
+        pose, state = self._waits[number]
         world.pose[:], world.state[:] = pose, state
         world.beside[:] = 0.0
         for k in staged:
@@ -290,12 +322,8 @@ class _Disassembly:
             world.beside[step.block] = step.beside
         for k in standing | staged:
             world.pose[k], world.state[k] = world.target(k), STANDING
-        near = staged if step.beside is not None else standing
-        press = self.structure.press_at(step.block, step.group, set(near))
-        if press is not None:
-            place = world.pieces[step.block].pose if step.group else world.target(step.block)
-            press = place[0] + press[0], place[1] + press[1]
-        why = try_step(world, self.cell, step, press=press)
+        press = where_pressed(self.structure, world, step, standing | staged)
+        why = try_step(world, self.arms[number].cell, step, press=press)
         if why is not None:
             self.why[step.block] = why
         return why is None

@@ -19,6 +19,7 @@ from learn2assemble.cell.crew import ArmCrew, Member
 from learn2assemble.cell.pieces import Piece, pieces_of, with_rests
 from learn2assemble.cell.reach import (
     APART,
+    DISTANCES,
     Base,
     Reach,
     bases,
@@ -46,6 +47,9 @@ BESIDE = 0.32
 """Bases stand no nearer to each other, for what they cover [m]."""
 BASE_RADIUS = 0.16
 """What a base covers [m]."""
+FAR = (0.65, 0.6, 0.55, 0.5, 0.45, 0.7, 0.75, 0.4)
+"""Distances of bases from the middle of arms with fingers, the preferred ones first [m]: hands are
+wide and reach past each other only where the arms stretch from afar."""
 TOOL = "suction"
 """Of an arm of which nothing else is said."""
 
@@ -85,7 +89,8 @@ def team_reach(arms: Sequence[SiteArm], pieces: Sequence[Piece]) -> TeamReach:
         _check_apart(arms)
         return _reached(arms, pieces)
     key, best = extreme(pieces), None
-    for base in bases(pieces):
+    fingers = all(get_arm(one.arm, one.tool or TOOL).suction is None for one in arms)
+    for base in bases(pieces, FAR if fingers else DISTANCES):
         found = _reached(_placed(arms, base), pieces, key)
         cost = len(found.out), len(key) - (found.both - found.count + len(key))
         if best is None or cost < best[0]:
@@ -165,14 +170,13 @@ def set_up_team(assembly: Assembly, arms: Sequence[SiteArm], site: Site) -> list
         site: what the user has said of the cell.
 
     Raises:
-        InputError: for joints that hold, for what a tool cannot hold, bases on one spot, blocks
-            that no arm reaches, a magazine that none does, and where there is no room for one.
+        InputError: for mortar, for what a tool cannot hold, bases on one spot, blocks that no arm
+            reaches, a magazine that none does, and where there is no room for one.
     """
     import shapely
 
-    if assembly.holds:
-        raise InputError("joints", "some that hold", "dry blocks, for several arms")
-
+    if assembly.holds and (assembly.joints or assembly.joint.law != "clutch"):
+        raise InputError("joints", "some with mortar", "dry blocks or bricks, for several arms")
     if site.pallets or site.positions:
         raise InputError(site.source, "pallets or positions", "magazines, for several arms")
     assembly = _without_props(assembly)
@@ -264,16 +268,20 @@ def plan_by_team(
 
     help_ = Supports(posts=posts, holds=len(members) - 1, crew=crew_of)
     plan = plan_assembly(bare, supports=help_, progress=progress, **options)
-    reached = team_reach([_site_arm(member) for member in members], members[0].job.pieces)
-    told = tuple(
-        BuilderArm(a.name, a.arm, a.tool or TOOL, _base_of(a), reached.count - len(reach.out))
-        for a, reach in zip(reached.arms, reached.reaches, strict=True)
-    )
     # Posts that no arm brings are set by hand, and no reason.
     told_last = [w for k, w in crews[-1].why.items() if k < len(bare.blocks)][-1:]
     why = "; ".join(told_last) if plan.status == "incomplete" else ""
     reason = f"{plan.reason} ({why})" if why else plan.reason
-    return replace(_by_hand(plan), arms=told, reason=reason)
+    return replace(_by_hand(plan), arms=told_of(members), reason=reason)
+
+
+def told_of(members: Sequence[Member]) -> tuple[BuilderArm, ...]:
+    """What a plan tells of the arms that build."""
+    reached = team_reach([_site_arm(member) for member in members], members[0].job.pieces)
+    return tuple(
+        BuilderArm(a.name, a.arm, a.tool or TOOL, _base_of(a), reached.count - len(reach.out))
+        for a, reach in zip(reached.arms, reached.reaches, strict=True)
+    )
 
 
 def _by_hand(plan: Plan) -> Plan:

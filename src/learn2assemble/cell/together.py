@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Generic, TypeVar
@@ -19,13 +18,14 @@ import numpy as np
 from learn2assemble.cell.building import Building, Prepared
 from learn2assemble.cell.carry_out import key_of, setup_of
 from learn2assemble.cell.crew import Member
-from learn2assemble.cell.pair import Pair, gather, lower_beside
+from learn2assemble.cell.pair import Pair, Waits, gather, put_beside, steps_before
 from learn2assemble.cell.report import Attempted, Witness, Worked, carried_out, words_of
 from learn2assemble.cell.shared_cell import SharedCell
 from learn2assemble.cell.shared_journal import SharedJournal, Turn, take_up
 from learn2assemble.cell.state import Action
-from learn2assemble.cell.traffic import ArmInTraffic, Route, Traffic, route_of
-from learn2assemble.cell.workcell import Progress, Workcell
+from learn2assemble.cell.telling import Assumed, assume, forget, route_of, tell
+from learn2assemble.cell.traffic import ArmInTraffic, Route, Traffic
+from learn2assemble.cell.workcell import Progress, StepOf, Workcell
 from learn2assemble.cell.world import STANDING, STOCK, rows_of
 from learn2assemble.motion.plant import Plant, PlantError, standing
 from learn2assemble.motion.record import RATE, BuildRecord
@@ -56,21 +56,23 @@ def build_together(
     *,
     joint: float = 1e-4,
     progress: Progress = lambda text: None,
+    order: Sequence[StepOf] | None = None,
     opened: Callable[[Setup], Any] | None = None,
 ) -> Plan:
-    """A complete plan of dry blocks, carried out by two arms in one simulated cell.
+    """A complete plan, carried out by two arms in one simulated cell.
 
     Args:
         members: the arms, see :func:`~.team.set_up_team`.
         workcell: how they build; where its file exists, the build goes on from that.
         joint: width of a vertical joint [m].
+        order: of bricks that clutch, of :func:`~.brick_team.bricks_by_team`.
         opened: see :class:`Together`; by default the simulated cell.
 
     Raises:
         InputError: as :func:`gather`.
     """
     started = time.perf_counter()
-    crew = gather(plan, members, workcell, joint)
+    crew = gather(plan, members, workcell, joint, order)
     journal = None
     if workcell.log is not None:
         journal = SharedJournal(workcell.log, f"{key_of(plan, workcell)} {_who(crew)}")
@@ -139,7 +141,8 @@ class Together(Generic[Cell]):
         first, second = (one.job.arm for one in crew.found)
         job = crew.found[0].job
         own = replace(job, obstacles=tuple(one for one in job.obstacles if not one.arm))
-        setup = setup_of(own, crew.workcells[0])._replace(others=(second,))
+        structure = crew.found[0].structure
+        setup = setup_of(own, crew.workcells[0], structure)._replace(others=(second,))
         self.plant, self.traffic = opened(setup), Traffic((first, second))
         self.journal, kept = journal, [] if journal is None else journal.read(self.plant)
         mine, other = self.plant.plants
@@ -153,6 +156,7 @@ class Together(Generic[Cell]):
         self.buildings: tuple[Building, ...] = tuple(one.building for one in self.worked)
         for who, building in enumerate(self.buildings):
             building.attempts.announce = self._announcer(who)
+            put_beside(building.world, job.steps)
         self.begun: float = 0.0
         """When [s of the plant's clock]."""
         self.turns: list[Turn] = []
@@ -162,16 +166,16 @@ class Together(Generic[Cell]):
         """Blocks that each arm could not even fetch before those that the other one moves."""
         self.after: list[Route | None] = [None, None]
         """Of the other arm, where an arm fetches a block that comes after that."""
-        self.assumes: list[np.ndarray | None] = [None, None]
-        """While an arm takes the block of the other one to stand already, where that was before,
-        float64[7]."""
-        self.under: dict[int, set[int]] = (
-            lower_beside(job) if not crew.found[0].structure.leans else {}
+        self.assumes: list[Assumed | None] = [None, None]
+        """While an arm takes the block of the other one to stand already, which."""
+        self.under: tuple[Waits, ...] = tuple(
+            steps_before(job, structure, one.order.steps) for one in crew.found
         )
-        """By piece, those that come before it, see :func:`lower_beside`; as planned where blocks
-        lean."""
+        """By step of each arm, those that come before it."""
         self.moves: list[int] = [0, 0]
-        """The piece that each arm moves, or was the last to."""
+        """The piece that each arm moves, or was the last to, ..."""
+        self.along: list[tuple[int, ...]] = [(), ()]
+        """... and what that brings along."""
         self.picks: list[int | None] = [None, None]
         """The piece of the attempt that each arm begins, before it says so: where readings are not
         exact, it takes time to see what a magazine presents."""
@@ -234,7 +238,7 @@ class Together(Generic[Cell]):
             self.working[who] = False
         if route is not None:
             # Whatever became of it, nobody else is to place it.
-            self.lost.add(self.moves[who])
+            self.lost |= {self.moves[who], *self.along[who]}
 
     def _attempts(self, who: int, progress: Progress) -> str | None:
         building, known = self.buildings[who], self.buildings[who].known
@@ -279,7 +283,8 @@ class Together(Generic[Cell]):
             self._assume(who)
             building.chosen = lambda: self._forget(who)
         building.stood = self._stood(who, begin)
-        self.picks[who], count = action.block, len(building.known.done)
+        self.picks[who], self.along[who] = action.block, action.group
+        count = len(building.known.done)
         try:
             acted = building.act(action)
         except PlantError:
@@ -319,7 +324,8 @@ class Together(Generic[Cell]):
         turn = Turn(who, building.known.done[-1], begin, end)
         self.turns.append(turn)
         self._changed(who)
-        self._tell(who, _other(before, building.world.state))
+        brought = {self.moves[who], *self.along[who]} if self.along[who] else set[int]()
+        self._tell(who, _other(before, building.world.state) | brought)
         if self.journal is not None:
             self.journal.append(turn, self.begun, self.buildings, self.plant, self.picks)
 
@@ -382,17 +388,14 @@ class Together(Generic[Cell]):
 
     def _assume(self, who: int) -> None:
         """An arm takes the block that the other one moves to stand already."""
-        world, first = self.buildings[who].world, self.moves[1 - who]
         if self.assumes[who] is None:
-            self.assumes[who] = world.pose[first].copy()
-        world.pose[first], world.state[first] = world.target(first), STANDING
+            self.assumes[who] = assume(self.buildings[who], self.moves[1 - who])
 
     def _forget(self, who: int) -> None:
         """It does not any more."""
-        world, first, hidden = self.buildings[who].world, self.moves[1 - who], self.assumes[who]
-        if hidden is not None:
-            self.assumes[who] = None
-            world.pose[first], world.state[first] = hidden, STOCK
+        assumed, self.assumes[who] = self.assumes[who], None
+        if assumed is not None:
+            forget(self.buildings[who], assumed)
 
     def _stood(self, who: int, now: float) -> float:
         """So long an arm has stood [s]: its record is on the clock of both, and tells what it did
@@ -440,24 +443,25 @@ class Together(Generic[Cell]):
         building.plant.execute(standing("home", building.joints, LOOK_AGAIN))
 
     def _elsewhere(self, who: int) -> set[int]:
-        """The block that the other arm moves or has chosen, and what an arm that was stopped has
+        """The blocks that the other arm moves or has chosen, and what an arm that was stopped has
         left."""
         found, chosen = set(self.lost), self.picks[1 - who]
         if self.traffic.other(who).route is not None:
-            found.add(self.moves[1 - who])
+            found |= {self.moves[1 - who], *self.along[1 - who]}
         return found if chosen is None else found | {chosen}
 
-    def _later(self, who: int) -> set[int]:
-        """Blocks beside which lower ones are still to come."""
-        known = self.buildings[who].known
-        left = {step.block for step in known.order if not known.satisfied(step)}
-        return {k for k, lower in self.under.items() if lower & left}
+    def _later(self, who: int) -> set[StepOf]:
+        """Steps before which others are still to come."""
+        known, waits = self.buildings[who].known, self.under[who].items()
+        return {step for step, some in waits if not all(map(known.satisfied, some))}
 
     def _announcer(self, who: int) -> Callable[[Execution, str], bool]:
         """What an arm says before it moves, see :attr:`~.attempt.Attempts.announce`."""
 
         def announce(run: Execution, block: str) -> bool:
-            building, route = self.buildings[who], route_of(run, block)
+            building = self.buildings[who]
+            along = [building.world.names[n] for n in self.along[who]]
+            route = route_of(run, block, along)
             k = building.world.names.index(block)
             after = self.after[who]
             behind = after is not None and self.traffic.other(who).route is after
@@ -480,20 +484,8 @@ class Together(Generic[Cell]):
         mine, other = self.buildings[who], self.buildings[1 - who]
         if self.assumes[1 - who] is not None:
             other.chosen()
-        while len(other.world.pieces) < len(mine.world.pieces):
-            other.recording.replace(mine.recording.like[len(other.recording.like)])
-            other.names.add(mine.world.names[-1])
-        for k in changed:
-            other.world.state[k] = mine.world.state[k]
-            other.world.pose[k], other.world.spread[k] = mine.world.pose[k], mine.world.spread[k]
-            name = mine.world.names[k]
-            if name in mine.sight.belief.known:
-                other.sight.belief.known[name] = mine.sight.belief.known[name]
-            fails = other.known.fails
-            other.known.fails = Counter({key: n for key, n in fails.items() if key[0] != k})
-        other.known.refused.clear()
+        tell(mine, other, changed)
         self._changed(1 - who)
-        other.recording.sync()
 
     def _changed(self, who: int) -> None:
         """What an arm has tried before it may try again, as things are otherwise now."""

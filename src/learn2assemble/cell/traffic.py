@@ -11,13 +11,14 @@ every leg, so one of the two can always go on.
 An arm whose block comes after the one that the other arm moves may fetch it meanwhile: it announces
 a route *behind* that of the other arm, and waits before it crosses until that has let go of its
 block where it was to place it, or is over.
+
+Where bricks clutch, no arm presses on what stands, or draws at it, while the other one does.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -35,11 +36,10 @@ from learn2assemble.motion.plant import (
     standing,
 )
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.capsules import Capsules, capsules_of, in_hand, solid_capsules
+from learn2assemble.robot.capsules import Capsules, capsules_of
 from learn2assemble.robot.moves import Outcome
-from learn2assemble.robot.sweeps import Sweep, clear, still, sweep
-from learn2assemble.simulation.execution import Execution
-from learn2assemble.simulation.model import Failure, part_of
+from learn2assemble.robot.sweeps import Sweep, clear, sweep
+from learn2assemble.simulation.model import Failure
 
 APART, PLANNED = 0.015, 0.02
 """So far the arms keep from each other as they are told to move, which they stray from by 2.4 mm
@@ -78,6 +78,10 @@ class Route(NamedTuple):
     legs: tuple[Leg, ...]
     goal: Sweep
     """The block in its place."""
+    along: tuple[str, ...] = ()
+    """Names of the blocks that it brings along."""
+    loads: frozenset[str] = frozenset()
+    """Stages in which it presses a brick home on what stands, or draws one off."""
 
 
 @dataclass
@@ -109,8 +113,11 @@ class Lane:
     """Of the other arm: its own block comes after that one, whether that is placed or not."""
     placed: bool = False
     """Whether it has let go of its block in its place."""
-    left: str | None = None
-    """Name of the block that it moved when it was stopped."""
+    loading: bool = False
+    """Whether it presses on what stands, or draws at that: the other arm does not meanwhile, as
+    states are proven under one of these loads alone."""
+    left: tuple[str, ...] = ()
+    """Names of the blocks that it moved when it was stopped."""
     in_vain: bool = False
     """Whether that is over and its block is not in its place."""
     tries: tuple[Motion, bool, Sweep] | None = None
@@ -163,6 +170,8 @@ class Traffic:
                 block then stands where it is to stand.
         """
         lane, other = self.lanes[who], self.other(who)
+        if route.loads and other.halted and other.loading:
+            return False
         if behind and other.route is not None:
             own = first_behind(route.legs)
             if not all(
@@ -216,6 +225,9 @@ class Traffic:
         if lane.placed and other.behind is lane.route:
             other.behind = None
             self.changes += 1
+        if lane.loading:
+            lane.loading = False
+            self.changes += 1
 
     def over(self, who: int, placed: bool = True) -> None:
         """What an arm announced is over.
@@ -226,6 +238,7 @@ class Traffic:
         lane = self.lanes[who]
         self._over(who, placed)
         lane.route, lane.ahead, lane.on_route, lane.holding = None, (), True, False
+        lane.loading = False
         self.changes += 1
 
     def leaves_route(self, who: int) -> None:
@@ -240,7 +253,8 @@ class Traffic:
         holds."""
         lane = self.lanes[who]
         self._over(who, placed=False)
-        lane.left = lane.route.block if lane.route is not None else None
+        if lane.route is not None:
+            lane.left = lane.route.block, *lane.route.along
         lane.route, lane.ahead, lane.on_route, lane.moving = None, (), False, False
         lane.halted = True
         self.changes += 1
@@ -260,7 +274,8 @@ class Traffic:
         lane, other = self.lanes[who], self.other(who)
         if lane.refused == self.changes:
             return False
-        if lane.behind is not None and motion.stage in BEHIND:
+        loads = lane.route is not None and motion.stage in lane.route.loads
+        if (loads and other.loading) or (lane.behind is not None and motion.stage in BEHIND):
             lane.refused = self.changes
             return False
         swept = self._of(lane, motion)
@@ -282,7 +297,7 @@ class Traffic:
             lane.refused = self.changes
             return False
         lane.here, lane.ahead, lane.on_route, lane.stage = swept, ahead, on_route, motion.stage
-        lane.moving, lane.tries = True, None
+        lane.moving, lane.tries, lane.loading = True, None, loads
         self.changes += 1
         return True
 
@@ -299,6 +314,8 @@ class Traffic:
         """An arm stands at joints float64[n] [rad]."""
         lane = self.lanes[who]
         lane.holding, lane.moving = holding, False
+        # What was drawn off is free; what is pressed home is so until the hand lets go.
+        lane.loading = lane.loading and lane.stage == "place"
         lane.here = lane.swept(joints[None])
         self.changes += 1
 
@@ -396,10 +413,8 @@ class ArmInTraffic(WrappedPlant):
     def sense(self) -> Readings:
         """What is sensed, but what the other arm moves, or moved when it was stopped."""
         found, other = self.plant.sense(), self.traffic.other(self.who)
-        name = other.left if other.route is None else other.route.block
-        if name is None:
-            return found
-        return found._replace(blocks=tuple(b for b in found.blocks if b.block != name))
+        names = other.left if other.route is None else (other.route.block, *other.route.along)
+        return found._replace(blocks=tuple(b for b in found.blocks if b.block not in names))
 
     def execute(
         self,
@@ -459,28 +474,3 @@ def _joined(reports: Sequence[Report], done: float) -> Report:
         whole = Played(*(np.concatenate(parts) for parts in zip(*played, strict=True)))
     seconds = sum(one.seconds for one in reports)
     return last._replace(done=done, seconds=seconds, played=whole)
-
-
-def route_of(run: Execution, block: str) -> Route:
-    """What an attempt that is about to begin announces.
-
-    Args:
-        run: the attempt.
-        block: name of what it moves.
-    """
-    arm, order, plan = run.rig.arm, run.order, run.course.plan
-    own, objects = capsules_of(arm), order.objects.shape[order.target]
-    parts = [part_of(box) for box in objects]
-    held = in_hand(arm, solid_capsules(parts, *order.in_hand(plan.move.grasp)))
-    both = own.add(held)
-    goal = still(solid_capsules(parts, *order.in_world(plan.move.grasp, plan.move.place)))
-    empty = [("approach", way) for way in pairwise(run.course.there)]
-    legs = [Leg(stage, sweep(arm, own, np.array(way))) for stage, way in empty]
-    pick, place, leave = (one.joints for one in (plan.pick, plan.place, plan.leave))
-    legs.append(Leg("pick", sweep(arm, own, pick[::-1])))
-    legs.append(Leg("lift", sweep(arm, both, pick)))
-    legs += [Leg("cross", sweep(arm, both, np.array(way))) for way in pairwise(run.course.across)]
-    legs.append(Leg("place", sweep(arm, both, place[::-1])))
-    legs.append(Leg("retreat", sweep(arm, own, leave)))
-    legs += [Leg("home", sweep(arm, own, np.array(way))) for way in pairwise(run.course.home)]
-    return Route(block, held, tuple(legs), goal)

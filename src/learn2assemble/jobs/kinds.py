@@ -93,9 +93,7 @@ class ArmChoice(NamedTuple):
         if site.cameras and any(self.noise):
             names = ", ".join(camera.name for camera in site.cameras)
             raise InputError("noise", self.noise, f"none: blocks are seen by {names}")
-        tool = one.tool or (FINGERS if studs else DEFAULT_TOOL)
-        if studs and tool != FINGERS:
-            raise InputError("tool", tool, f"{FINGERS}: a cup does not hold on studs")
+        tool = _tool_for_studs(one.tool) if studs else one.tool or DEFAULT_TOOL
         return Workcell(one.arm, tool, site, self.physics, self.seed, self.noise, log=self.state)
 
     def _site(self) -> Site:
@@ -108,6 +106,17 @@ class ArmChoice(NamedTuple):
         if not isinstance(site, Site):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise InputError("layout", site, "a layout (docs/layouts.md) or its file")
         return site
+
+
+def _tool_for_studs(tool: str | None) -> str:
+    """What holds bricks with studs.
+
+    Raises:
+        InputError: for another tool that was asked for.
+    """
+    if tool not in (None, FINGERS):
+        raise InputError("tool", tool, f"{FINGERS}: a cup does not hold on studs")
+    return FINGERS
 
 
 def check_asked(
@@ -256,15 +265,19 @@ def team_plan(
     ``physics="kinematic"`` the build.
 
     Raises:
-        InputError: for what has no dry blocks, and for arms that cannot build it together.
+        InputError: for goals and mortar, and for arms that cannot build it together.
     """
+    from learn2assemble.cell.brick_team import bricks_by_team
+    from learn2assemble.cell.in_turn import build_in_turn
     from learn2assemble.cell.team import plan_by_team, set_up_team
+    from learn2assemble.cell.together import build_together
+    from learn2assemble.cell.workcell import StepOf, Workcell
 
     if isinstance(design, Goals):
         raise InputError("goals", f"{len(how.arms)} arms", "one arm, or a design")
-    if has_studs(design, kit):
-        raise InputError("bricks that clutch", f"{len(how.arms)} arms", "one arm, or dry blocks")
     arms, site = how.team()
+    if studs := has_studs(design, kit):
+        arms = [one._replace(tool=_tool_for_studs(one.tool)) for one in arms]
     options = {name: value for name, value in given.items() if name != "progress"}
     posts, progress = help_.supports != "none", given["progress"]
     if site.cameras:
@@ -272,13 +285,6 @@ def team_plan(
 
     def built(assembly: Assembly, joint: float) -> Plan:
         members = set_up_team(assembly, arms, site)
-        plan = plan_by_team(assembly, members, posts=posts, options=options, progress=progress)
-        if how.physics == PLANNED or not plan.complete:
-            return plan
-        from learn2assemble.cell.in_turn import build_in_turn
-        from learn2assemble.cell.together import build_together
-        from learn2assemble.cell.workcell import Workcell
-
         first = members[0].job.arm
         cell = Workcell(
             first.name,
@@ -290,14 +296,26 @@ def team_plan(
             log=how.state,
             hands=True,
         )
-        held = any(step.action == "hold" for step in plan.steps)
-        carried_out = build_in_turn if held else build_together
-        return carried_out(plan, members, cell, joint=joint, progress=progress)
+        order: tuple[StepOf, ...] | None = None
+        if studs:
+            plan, order = bricks_by_team(assembly, members, cell, progress)
+        else:
+            plan = plan_by_team(assembly, members, posts=posts, options=options, progress=progress)
+        if how.physics == PLANNED or not plan.complete:
+            return plan
+        if any(step.action == "hold" for step in plan.steps):
+            return build_in_turn(plan, members, cell, joint=joint, progress=progress)
+        return build_together(plan, members, cell, joint=joint, progress=progress, order=order)
 
     if isinstance(design, Assembly):
+        if studs:
+            _check_pressed(design)
         return built(design, 0.0)
     kit = kit_of(design, kit)
-    plan = cells_plan(design, kit, None, posts, planner, given)
+    if studs:
+        plan = bricks_plan(design, kit, None, help_, planner, given)
+    else:
+        plan = cells_plan(design, kit, None, posts, planner, given)
     if not plan.complete or plan.assembly is None:
         return plan
     if options["gap"] is None:

@@ -52,6 +52,8 @@ class ArmPlant:
         self.cell, self.arm, self.bench = cell, sim.arm, Bench(sim)
         self.needs: set[str] = set()
         """Blocks that its motion may touch."""
+        self._brings: set[str] = set()
+        """Blocks that follow the one that it moves."""
         sim.feels_slip = False
         sim.straying = Straying(cell.chances, sim.arm, sim.number)
         sim.put_arm(sim.joints)
@@ -89,8 +91,10 @@ class ArmPlant:
         cell.take_poses()
         cell.note_home()
         # The hand that let go may brush all that it brought on its way up.
-        if cell.joined and not self.bench.holding and motion.stage in ("retreat", "home"):
-            cell.joined.clear()
+        if self._brings and not self.bench.holding and motion.stage in ("retreat", "home"):
+            for name in self._brings:
+                cell.joined.pop(name, None)
+            self._brings.clear()
             cell.enter(set(cell.number))
         if report.stop == Stop.HELD:
             cell.taken()
@@ -98,7 +102,7 @@ class ArmPlant:
             if held is not None:
                 cell.things[held].handled = True
                 if sim.clutch is not None:
-                    sim.clutch.aim(cell.number[held])
+                    sim.clutch.aim(cell.number[held], sim.number)
         if report.stop == Stop.CONTACT:
             cell.hardest = max(cell.hardest, self.bench.hardest, abs(report.tool.force[2]))
         if cell.push_due and motion.stage == "home" and np.ptp(motion.joints, axis=0).any():
@@ -109,6 +113,8 @@ class ArmPlant:
     def request(self, request: Request) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         self._begin()
+        if request.what == "join":
+            self._brings.add(request.block)
         return self.cell.request(request)._replace(joints=self.where())
 
     def stop(self) -> None:

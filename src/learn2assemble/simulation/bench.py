@@ -92,7 +92,7 @@ class Bench:
             for command in commands
         )
         if opens and sim.clutch is not None:
-            sim.clutch.take()
+            sim.clutch.take(sim.number)
         guards = guards or (Guard(),)
         begins = [math.ceil(guard.begin / TIMESTEP - 1e-6) for guard in guards]
         begins = [0, *(min(begin, count) for begin in begins[1:]), count]
@@ -113,7 +113,7 @@ class Bench:
         if stop in (Stop.VACUUM, Stop.WIDTH):
             self._kept = None
         if opens and sim.clutch is not None:
-            sim.clutch.draw()
+            sim.clutch.draw(sim.number)
         return Report(
             stop,
             1.0 if stop == Stop.END else (k + 1) / max(count, 1),
@@ -210,7 +210,7 @@ class Bench:
                 if force < least:
                     return False
                 if guard.bears and sim.clutch is not None:
-                    sim.clutch.join()
+                    sim.clutch.join(sim.number)
                 return True
 
             return rests

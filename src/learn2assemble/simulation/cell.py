@@ -254,7 +254,7 @@ class DynamicCell:
 
 def clutch_of(sim: Simulation, objects: Objects, studs: Studs | None, target: int) -> Clutch | None:
     """The joints of studs of a simulation that is about to begin."""
-    return None if studs is None else Clutch(sim.world, sim.data, objects, studs, target)
+    return None if studs is None else Clutch(sim.world, sim.data, objects, studs, [target])
 
 
 class ExactSenses(Bench):

@@ -29,7 +29,8 @@ has let go; less of a push leaves it loose on them. Until then the hand and the 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
 import numpy as np
@@ -57,6 +58,28 @@ HALVED = 20
 """Steps of the search for the share of a load that a joint bears."""
 EDGE = 1e-5
 """The point of attack may be so far outside the hull [m]."""
+
+
+class Made(NamedTuple):
+    """What hands have made so far, by arm: lower and upper cell of joints."""
+
+    pressed: tuple[frozenset[tuple[int, int]], ...] = ()
+    """Those that the hand and the faces bear so far."""
+    held: tuple[frozenset[tuple[int, int]], ...] = ()
+    """Those that hold while the hand opens."""
+
+    def named(self, names: Mapping[tuple[int, int], tuple[int, int]]) -> Made:
+        """The same in other numbers, those that have one."""
+
+        def told(
+            several: tuple[frozenset[tuple[int, int]], ...],
+        ) -> tuple[frozenset[tuple[int, int]], ...]:
+            return tuple(frozenset(names[p] for p in some if p in names) for some in several)
+
+        return Made(told(self.pressed), told(self.held))
+
+
+NOTHING_MADE = Made()
 
 
 def holds(joint: StudJoint, force: np.ndarray, couple: np.ndarray) -> bool:
@@ -106,7 +129,8 @@ class Clutch:
         data: its state, with the objects where they begin.
         objects: which cells make up which object.
         studs: the joints, in cells of the scene.
-        target: number of the object that is moved; none where that is below 0.
+        targets: number of the object that each arm moves; none where that is below 0.
+        before: what hands have made so far, where this simulation goes on from another one.
     """
 
     model: mujoco.MjModel
@@ -114,7 +138,6 @@ class Clutch:
     press: float
     joints: list[StudJoint]
     opened: list[StudJoint]
-    wanted: list[int]
 
     def __init__(
         self,
@@ -122,7 +145,8 @@ class Clutch:
         data: mujoco.MjData,
         objects: Objects,
         studs: Studs,
-        target: int,
+        targets: Sequence[int],
+        before: Made = NOTHING_MADE,
     ) -> None:
         self.model, self.data, self.press, m = world.model, data, studs.press, world.model
         self.joints, self.opened = list(studs.joints), list[StudJoint]()
@@ -139,7 +163,10 @@ class Clutch:
             if ends[0] != ends[1] and moves and len(self._slot) < world.num_welds:
                 self._slot[n] = self._first + len(self._slot)
         data.eq_active[self._first : self._first + world.num_welds] = 0
-        self.aim(target)
+        self._wanted: list[list[int]] = [[] for _ in targets]
+        """By arm, joints that its move makes."""
+        for who, target in enumerate(targets):
+            self.aim(target, who)
         self._steps, self._sum = 0, {n: np.zeros(6) for n in self._slot}
         self._off: dict[int, np.ndarray] = {}
         """By joint, float64[6]: how far its rest is from its place [m], [rad]."""
@@ -149,13 +176,18 @@ class Clutch:
         """... and how many times in a row."""
         self._calm = 0
         """Step at which the last joint had drawn its brick to its place."""
-        self._held = set[int]()
-        """Joints that were made and whose brick is in the hand."""
+        self._pressed: list[set[int]] = [self._numbers(pairs) for pairs in before.pressed]
+        """By arm, joints that were made and that its hand and the faces bear so far, ..."""
+        self._held: list[set[int]] = [self._numbers(pairs) for pairs in before.held]
+        """... and those that hold while its hand opens."""
+        for several in (self._pressed, self._held):
+            several += [set() for _ in targets[len(several) :]]
         self._geom = self._geoms(objects)
         mujoco.mj_kinematics(m, data)
         for n in self._slot:
             if self.joints[n].home and self._near(n):
-                self._take(n)
+                if not any(n in some for some in self._pressed):
+                    self._take(n)
             else:
                 self.joints[n] = self.joints[n]._replace(home=False)
         self._wake(NUDGE)
@@ -165,16 +197,29 @@ class Clutch:
             for cell in (self.joints[n].lower, self.joints[n].upper):
                 self.data.xfrc_applied[self._body[cell], 2] = force
 
-    def aim(self, target: int) -> None:
-        """From now on this object is moved; none where the number is below 0."""
+    def aim(self, target: int, who: int = 0) -> None:
+        """From now on an arm moves this object; none where the number is below 0."""
         own = set(np.flatnonzero(self._owner == target).tolist())
-        self.wanted = [
+        self._wanted[who] = [
             n
             for n in self._slot
             if not self.joints[n].home
             and (self.joints[n].upper in own) != (self.joints[n].lower in own)
         ]
-        """Joints that the move makes."""
+
+    @property
+    def made(self) -> Made:
+        """What hands have made so far and still hold."""
+
+        def pairs(several: list[set[int]]) -> tuple[frozenset[tuple[int, int]], ...]:
+            ends = [[(self.joints[n].lower, self.joints[n].upper) for n in s] for s in several]
+            return tuple(map(frozenset, ends))
+
+        return Made(pairs(self._pressed), pairs(self._held))
+
+    def _numbers(self, pairs: frozenset[tuple[int, int]]) -> set[int]:
+        """The joints of these cells."""
+        return {n for n in self._slot if (self.joints[n].lower, self.joints[n].upper) in pairs}
 
     @property
     def home(self) -> tuple[tuple[int, int], ...]:
@@ -183,31 +228,34 @@ class Clutch:
 
     @property
     def loose(self) -> bool:
-        """Whether a joint that the move was to make is not home."""
-        return any(not self.joints[n].home for n in self.wanted)
+        """Whether a joint that a move was to make is not home."""
+        return any(not self.joints[n].home for wanted in self._wanted for n in wanted)
 
     @property
     def unmade(self) -> bool:
-        """Whether a joint is not home that the move was to make and whose brick has come to its
+        """Whether a joint is not home that a move was to make and whose brick has come to its
         place."""
-        return any(not self.joints[n].home and self._near(n) for n in self.wanted)
+        wanted = (n for some in self._wanted for n in some)
+        return any(not self.joints[n].home and self._near(n) for n in wanted)
 
-    def join(self) -> None:
-        """The target is pressed home: on every knob that it is near enough to."""
-        for n in self.wanted:
+    def join(self, who: int = 0) -> None:
+        """What an arm moves is pressed home: on every knob that it is near enough to."""
+        for n in self._wanted[who]:
             if not self.joints[n].home and self._near(n):
                 self.joints[n] = self.joints[n]._replace(home=True)
+                self._pressed[who].add(n)
 
-    def take(self) -> None:
-        """The hand is about to let go: the joints that were made hold what they joined as it is."""
-        for n in self.wanted:
+    def take(self, who: int = 0) -> None:
+        """A hand is about to let go: the joints that were made hold what they joined as it is."""
+        for n in {*self._wanted[who], *self._pressed[who]}:
             if self.joints[n].home:
                 self._take(n)
-                self._held.add(n)
+                self._held[who].add(n)
+        self._pressed[who].clear()
 
-    def draw(self) -> None:
-        """The hand has let go: joints bring their bricks to their places."""
-        self._held.clear()
+    def draw(self, who: int = 0) -> None:
+        """A hand has let go: joints bring their bricks to their places."""
+        self._held[who].clear()
         self._wake(NUDGE)
 
     def step(self) -> None:
@@ -224,7 +272,7 @@ class Clutch:
             own = number == self._slot[n]
             for first, count in faces.get(self._pair(n), ()):
                 own[first : first + count] = True
-            if n in self._off and n not in self._held:
+            if n in self._off and not any(n in some for some in self._held):
                 self._draw(n)
             if own.any():
                 self._sum[n] += self._load(n, own) / MEAN

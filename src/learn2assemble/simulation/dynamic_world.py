@@ -14,7 +14,6 @@ import mujoco
 import numpy as np
 
 from learn2assemble.constants import GRAVITY
-from learn2assemble.errors import InputError
 from learn2assemble.geometry.hulls import Hull
 from learn2assemble.geometry.rotations import quaternion_matrix, quaternion_product
 from learn2assemble.motion.setup import Setup
@@ -23,13 +22,15 @@ from learn2assemble.robot.studs import GROUND, StudJoint, Studs
 from learn2assemble.simulation.bench import Bench
 from learn2assemble.simulation.cell import WorldForces, Worlds
 from learn2assemble.simulation.clock import SharedClock
-from learn2assemble.simulation.clutch import Clutch
+from learn2assemble.simulation.clutch import NOTHING_MADE, Clutch, Made
 from learn2assemble.simulation.contacts import BLIND
 from learn2assemble.simulation.model import SHRINK, TIMESTEP, Objects, group
 from learn2assemble.simulation.simulation import NOBODY, SimulatedState
 from learn2assemble.simulation.things import SimulatedCell
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from learn2assemble.robot.arm import Arm
 
 LONGEST_REST = 2.0
@@ -60,9 +61,6 @@ class DynamicWorld(SimulatedCell):
 
     Args:
         setup: as things are meant to be.
-
-    Raises:
-        InputError: for several arms where bricks clutch.
     """
 
     objects: Objects
@@ -75,8 +73,6 @@ class DynamicWorld(SimulatedCell):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        if setup.others and setup.studs is not None:
-            raise InputError("arms", 1 + len(setup.others), "one arm, where bricks clutch")
         change = self.chances.disturbance.friction
         forces = WorldForces(setup.friction * (1 + change), GRAVITY)
         self.arms: tuple[Arm, ...] = (setup.arm, *setup.others)
@@ -162,6 +158,9 @@ class DynamicWorld(SimulatedCell):
         leads = {self.joined.get(name, name) for name in free}
         free = {n for n in self.things if n in free or self.joined.get(n, n) in leads}
         numbers, speed = self.number, self._velocities().copy()
+        # Another arm may be pressing.
+        self.note_home()
+        made = self._hands()
         self.simulated = state = self._state(free, old.steps)
         before = [one.bench.sim.leave(state) for one in self.plants]
         for one in self.plants:
@@ -180,7 +179,7 @@ class DynamicWorld(SimulatedCell):
         for one, name in zip(self.plants, aims, strict=True):
             if name:
                 one.bench.sim.aim(self.number[name])
-        self._clutch(self.number[held[0]] if held[0] else NOBODY)
+        self._clutch([self.number[name] if name else NOBODY for name in held], made)
 
     def _state(self, free: set[str], begun: int) -> SimulatedState:
         scene, rows = self.scene()
@@ -280,12 +279,22 @@ class DynamicWorld(SimulatedCell):
         }
         return Studs(tuple(found), told.press)
 
-    def _clutch(self, held: int) -> None:
-        """The joints of the state that is about to begin."""
+    def _clutch(self, held: Sequence[int], made: Made = NOTHING_MADE) -> None:
+        """The joints of the state that is about to begin.
+
+        Args:
+            held: number of what each arm holds.
+            made: what hands have made so far, by kinds.
+        """
         if self.studs is not None:
-            state = self.simulated
-            objects, studs = self.objects, self.studs
-            state.clutch = Clutch(state.world, state.data, objects, studs, held)
+            state, row = self.simulated, {pair: cells for cells, pair in self.pairs.items()}
+            made = made.named(row)
+            state.clutch = Clutch(state.world, state.data, self.objects, self.studs, held, made)
+
+    def _hands(self) -> Made:
+        """What hands have made so far and still hold, by kinds."""
+        clutch = self.simulated.clutch
+        return NOTHING_MADE if clutch is None else clutch.made.named(self.pairs)
 
     def note_home(self) -> None:
         """Which joints are home now."""

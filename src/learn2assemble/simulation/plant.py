@@ -48,9 +48,6 @@ class DynamicPlant(DynamicWorld):
 
     Args:
         setup: as things are meant to be.
-
-    Raises:
-        InputError: for several arms where bricks clutch.
     """
 
     plants: tuple[ArmPlant, ...]  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -71,7 +68,7 @@ class DynamicPlant(DynamicWorld):
             for number, (arm, q, width) in enumerate(zip(self.arms, joints, widths, strict=True))
         )
         self.acting = self.plants[0]
-        self._clutch(NOBODY)
+        self._clutch([NOBODY] * len(self.plants))
 
     @property
     def bench(self) -> Bench:

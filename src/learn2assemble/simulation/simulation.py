@@ -138,6 +138,8 @@ class SimulatedState:
         """Everything goes on by one step."""
         mujoco.mj_step(self.model, self.data)
         self.count()
+        if self.clutch is not None:
+            self.clutch.step()
 
     def count(self) -> None:
         """A step is done; a simulation that diverged is stopped, with everything needed to look
@@ -392,8 +394,6 @@ class Simulation:
                     self.width = float(widths[k])
                 if self.cup is not None:
                     self.cup.step(self.width)
-                if self.state.clutch is not None:
-                    self.state.clutch.step()
                 self._count(run.position[k], run.velocity[k])
                 ended = self._look(thresholds, watch.until)
                 if ended is not None:

@@ -1,0 +1,293 @@
+"""Two arms that press bricks home in one cell: their order, who may press when, and builds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import learn2assemble as l2a
+from l2a_lab.arm_distances import WatchedCell
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
+from learn2assemble.assembly.joints import Joint
+from learn2assemble.assembly.kit import load_kit
+from learn2assemble.cell.brick_team import bricks_by_team
+from learn2assemble.cell.bricks import BrickStates, BrickStructure
+from learn2assemble.cell.crew import Member
+from learn2assemble.cell.pair import FINGERS, gather, put_beside, steps_before
+from learn2assemble.cell.site import Site
+from learn2assemble.cell.site_arms import SiteArm
+from learn2assemble.cell.team import set_up_team
+from learn2assemble.cell.telling import assume, forget
+from learn2assemble.cell.together import Together
+from learn2assemble.cell.traffic import Leg, Route, Traffic
+from learn2assemble.cell.workcell import StepOf, Workcell
+from learn2assemble.cell.world import WorkcellBlocks
+from learn2assemble.errors import InputError
+from learn2assemble.motion.plant import Motion
+from learn2assemble.planning.plan import Plan
+from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.bodies import Part
+from learn2assemble.robot.capsules import capsules_of, in_hand, solid_capsules
+from learn2assemble.robot.moves import Scene
+from learn2assemble.robot.studs import Studs
+from learn2assemble.robot.sweeps import still, sweep
+from learn2assemble.simulation.cell import DynamicCell
+from learn2assemble.simulation.clutch import Clutch
+from learn2assemble.simulation.model import rigid_objects
+from learn2assemble.simulation.simulation import SimulatedState
+
+DUPLO = load_kit("duplo")
+ARMS = SiteArm("one", "panda", "gripper"), SiteArm("two", "panda", "gripper")
+
+
+def duplo(*given: tuple[tuple[int, int], tuple[int, int, int]]) -> Assembly:
+    """Large bricks of some extents at corners in studs and layers."""
+    made = [Brick(at, (a, b, 1), f"brick {k}") for k, ((a, b), at) in enumerate(given)]
+    return assembly_of(BrickModel(tuple(made)), DUPLO, "test")
+
+
+STAIR = duplo(((4, 2), (0, 0, 0)), ((2, 2), (0, 0, 1)), ((2, 2), (1, 0, 2)), ((2, 2), (2, 0, 3)))
+"""Its last brick alone tips the one below it when it is pressed home."""
+
+Ordered = tuple[Plan, tuple[StepOf, ...], list[Member]]
+
+
+@pytest.fixture(scope="module")
+def stair() -> Ordered:
+    """The order of the stair for two arms."""
+    members = set_up_team(STAIR, ARMS, Site())
+    plan, order = bricks_by_team(STAIR, members, Workcell("panda", "gripper"))
+    assert plan.complete
+    return plan, order, members
+
+
+# ---------------------------------------------------------------- the order
+
+
+def test_two_arms_find_the_order_of_one(stair: Ordered) -> None:
+    plan, order, _ = stair
+    assert [step.block for step in order] == [0, 1, 2, 3, 2]
+    assert [step.group for step in order] == [(), (), (), (), (3,)]
+    assert [step.beside is not None for step in order] == [False, False, True, True, False]
+    assert [step.way for step in plan.steps] == ["above", "above", "beside", "beside"]
+    assert [arm.name for arm in plan.arms] == ["one", "two"]
+    assert [arm.tool for arm in plan.arms] == ["gripper", "gripper"]
+
+
+def test_what_no_order_bears_to_be_pressed_is_refused() -> None:
+    """A hook, whose last brick hangs: it has to come from below, or with all of the hook."""
+    hook = duplo(*(((2, 4), at) for at in ((0, 8, 0), (0, 6, 1), (0, 4, 2), (0, 2, 3), (0, 0, 2))))
+    assert BrickStates(hook).need.stands
+    plan = l2a.build(hook, arm=("panda", "panda"), physics="kinematic")
+    assert plan.status == "refused"
+    assert "neither arm can place" in (plan.reason or "")
+
+
+def test_a_brick_comes_to_what_bears_its_press(stair: Ordered) -> None:
+    """Also where the order is another one than was found, and what is built beside stands there
+    alone."""
+    plan, order, members = stair
+    crew = gather(plan, members, Workcell("panda", "gripper"), 0.0, order)
+    structure, world = crew.found[0].structure, WorkcellBlocks(crew.found[0].job)
+    assert isinstance(structure, BrickStructure)
+    three = frozenset({0, 1, 2})
+    assert structure.stands(three | {3})
+    assert not structure.takes(StepOf(3), three, world)
+    assert structure.takes(StepOf(2), three - {2}, world)
+    put_beside(world, order)
+    # On the brick that stands alone on the table, not on what it comes to later.
+    assert structure.takes(StepOf(3, beside=order[3].beside), three, world)
+    assert structure.takes(order[-1], three | {3}, world)
+    # Nothing is there to press them on.
+    assert not structure.takes(order[-1], frozenset({2, 3}), world)
+
+
+def test_near_bricks_come_as_the_order_has_them() -> None:
+    """And those that are far apart in any order."""
+    pitch = DUPLO.pitch[0]
+    far = 2 + int(np.ceil(FINGERS / pitch))
+    row = duplo(*(((2, 2), (x, 0, 0)) for x in (0, 2, 2 + far)))
+    members = set_up_team(row, ARMS, Site())
+    plan, order = bricks_by_team(row, members, Workcell("panda", "gripper"))
+    job = gather(plan, members, Workcell("panda", "gripper"), 0.0, order).found[0].job
+    first, second = sorted((0, 1), key=lambda k: [step.block for step in order].index(k))
+    waits = steps_before(job, BrickStructure(job), ())
+    assert waits == {StepOf(second): {StepOf(first)}}
+
+
+# ---------------------------------------------------------------- who may press
+
+
+LEFT = get_arm("ur5e", "gripper", (-2.0, 0.0, 0.0, 0.0))
+RIGHT = get_arm("panda", "gripper", (2.0, 0.0, 0.0, np.pi))
+
+
+def pressing(loads: frozenset[str]) -> tuple[Traffic, list[list[Motion]]]:
+    """Two arms, far from each other, that have announced a way down and up, and its motions."""
+    brick = (Part((0.0, 0.0, 0.0), (0.03, 0.02, 0.02)),)
+    traffic, motions = Traffic((LEFT, RIGHT)), list[list[Motion]]()
+    for who, arm in enumerate((LEFT, RIGHT)):
+        low = arm.home + 0.1 * np.eye(len(arm.home))[1]
+        ways = {"place": (arm.home, low), "retreat": (low, arm.home)}
+        held = in_hand(arm, solid_capsules(brick, np.array([0.0, 0.0, 0.02]), np.eye(3)))
+        goal = still(solid_capsules(brick, np.array([0.0, 3.0 + who, 0.0]), np.eye(3)))
+        legs = [Leg(s, sweep(arm, capsules_of(arm), np.array(way))) for s, way in ways.items()]
+        assert traffic.announce(who, Route("ab"[who], held, tuple(legs), goal, (), loads))
+        motions.append([])
+        for stage, way in ways.items():
+            joints = np.array(way)
+            motions[-1].append(Motion(stage, np.array([0.0, 1.0]), joints, np.zeros_like(joints)))
+    return traffic, motions
+
+
+def test_no_arm_presses_while_the_other_one_does() -> None:
+    traffic, ((down, up), (other, _)) = pressing(frozenset({"place"}))
+    assert traffic.enter(0, down)
+    assert not traffic.enter(1, other)
+    assert not traffic.stuck(1)
+    # It presses until it lets go, not only while it moves.
+    traffic.stands(0, down.joints[-1], True)
+    traffic.changes += 1
+    assert not traffic.enter(1, other)
+    traffic.lets_go(0)
+    assert traffic.enter(1, other)
+    assert traffic.enter(0, up)
+
+
+def test_blocks_that_are_set_down_may_come_at_once() -> None:
+    traffic, ((down, _), (other, _)) = pressing(frozenset())
+    assert traffic.enter(0, down)
+    assert traffic.enter(1, other)
+
+
+def test_nothing_is_pressed_on_what_a_stopped_arm_presses_on() -> None:
+    traffic, ((down, _), _) = pressing(frozenset({"place"}))
+    route = traffic.lanes[1].route
+    assert route is not None
+    assert traffic.enter(0, down)
+    traffic.over(1)
+    traffic.stopped(0)
+    assert not traffic.fits(1, route)
+    assert traffic.fits(1, route._replace(loads=frozenset()))
+
+
+def test_what_each_hand_has_pressed_home_is_its_own() -> None:
+    """And goes on where the simulation does in another state: a hand that presses has not let go
+    yet."""
+    towers = duplo(
+        ((2, 2), (0, 0, 0)), ((2, 2), (0, 0, 1)), ((2, 2), (8, 0, 0)), ((2, 2), (8, 0, 1))
+    )
+    boxes = np.array([[b.vertices.min(0), b.vertices.max(0)] for b in towers.blocks])
+    states, count = BrickStates(towers), len(boxes)
+    joints = tuple(states.stud_joint(*p) for p in sorted(states.mates.knobs) if p[0] >= 0)
+    scene = Scene(
+        boxes.mean(1),
+        np.zeros(count),
+        np.arange(count),
+        count,
+        np.diff(boxes, axis=1)[:, 0] / 2,
+        np.array([block.density for block in towers.blocks]),
+        np.tile([1.0, 0, 0, 0], (count, 1)),
+        studs=Studs(joints, towers.joint.press),
+    )
+    objects, poses, names = rigid_objects(scene)
+    assert scene.studs is not None
+    world = DynamicCell(get_arm("panda", "gripper", (-0.6, 0, 0, 0))).world(objects, scene.studs)
+    upper = [int(objects.owner[k]) for k in (1, 3)]
+
+    def clutch(*given: object) -> Clutch:
+        state = SimulatedState(world, poses, names)
+        return Clutch(world, state.data, objects, studs, upper, *given)  # pyright: ignore
+
+    studs = scene.studs
+    one = clutch()
+    one.join(1)
+    assert one.home == ((2, 3),)
+    assert one.made.pressed == (frozenset(), frozenset({(2, 3)}))
+    studs = Studs(tuple(one.joints), studs.press)
+    again = clutch(one.made)
+    assert again.made == one.made
+    slots = again.data.eq_active.copy()
+    again.take(0)
+    assert (again.data.eq_active == slots).all()
+    again.take(1)
+    assert again.data.eq_active.sum() == slots.sum() + 1
+    assert again.made.pressed == (frozenset(), frozenset())
+    assert again.made.held == (frozenset(), frozenset({(2, 3)}))
+    again.draw(1)
+    assert again.made.held == (frozenset(), frozenset())
+
+
+# ---------------------------------------------------------------- builds
+
+
+def test_two_arms_build_bricks_and_a_part_beside(stair: Ordered) -> None:
+    """Both work at the same time, and what one presses home the other one knows to be so."""
+    plan, order, members = stair
+    crew = gather(plan, members, Workcell("panda", "gripper"), 0.0, order)
+    both = Together(crew, WatchedCell)
+    presses: list[tuple[float, float]] = []
+    enter, lets_go, begun = both.traffic.enter, both.traffic.lets_go, dict[int, float]()
+
+    def entered(who: int, motion: Motion) -> bool:
+        done = enter(who, motion)
+        if done and both.traffic.lanes[who].loading:
+            begun[who] = both.plant.time
+        return done
+
+    def let_go(who: int) -> None:
+        if both.traffic.lanes[who].loading:
+            presses.append((begun[who], both.plant.time))
+        lets_go(who)
+
+    both.traffic.enter, both.traffic.lets_go = entered, let_go
+    assert both.run() is None
+    assert both.complete
+    assert {turn.arm for turn in both.turns} == {0, 1}
+    assert [turn.done.what for turn in both.turns].count("attach") == 1
+    assert any(a.end > b.begin for a, b in pairwise(sorted(both.turns, key=lambda t: t.begin)))
+    # The first brick of the part is set down on the table.
+    assert len(presses) == 4
+    assert all(a[1] <= b[0] for a, b in pairwise(sorted(presses)))
+    joints = {(-1, 0), (0, 1), (1, 2), (2, 3)}
+    assert both.plant.home == joints
+    for building in both.buildings:
+        assert building.world.home == joints
+        assert not building.world.beside.any()
+    truth = both.plant.truth()
+    for piece in crew.found[0].job.pieces:
+        assert np.linalg.norm(truth[piece.id][:3] - piece.pose[:3]) < 1e-4
+    assert both.plant.least().distance >= 0.010
+
+
+def test_what_is_taken_to_stand_is_taken_to_be_home(stair: Ordered) -> None:
+    plan, order, members = stair
+    both = Together(gather(plan, members, Workcell("panda", "gripper"), 0.0, order), WatchedCell)
+    building = both.buildings[0]
+    world, before = building.world, (both.buildings[0].world.pose.copy(), set[tuple[int, int]]())
+    known = assume(building, 0)
+    assert world.home == {(-1, 0)}
+    assert not building.known.structure.loose(0, world)
+    forget(building, known)
+    assert (world.pose == before[0]).all()
+    assert world.home == before[1]
+
+
+@pytest.mark.parametrize(
+    ("joint", "options", "words"),
+    [
+        (Joint("mortar", tensile=1e4, shear=1e4), {}, "mortar"),
+        (STAIR.joint, {"tool": "suction"}, "a cup does not hold on studs"),
+    ],
+)
+def test_what_two_arms_cannot_join_is_one_line(
+    joint: Joint, options: dict[str, str], words: str
+) -> None:
+    with pytest.raises(InputError) as error:
+        l2a.build(replace(STAIR, joint=joint), arm=("panda", "panda"), **options)  # pyright: ignore
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
