@@ -101,27 +101,32 @@ class Clearance:
 
     def _out(self, block: int, way: np.ndarray, others: np.ndarray, offset: np.ndarray) -> bool:
         """Whether a block, moved by ``offset``, can be drawn out straight along a unit vector."""
-        low, high = self.lower[block] + offset, self.upper[block] + offset
-        lower, upper = self.lower[others], self.upper[others]
-        out = np.where(way > 0, upper.max(0) - low, high - lower.min(0))
-        steep = np.abs(way) > 1e-9
-        length = float((out[steep] / np.abs(way[steep])).min())
-        step = float((high - low).min()) / _STEPS
+        length = _way_out(block, self.lower, self.upper, others, way, offset)
+        step = float((self.upper[block] - self.lower[block]).min()) / _STEPS
         moves = offset + way * np.arange(step, length + step, step)[:, None]
-        return not self._hits(block, moves, others).any()
+        return not self._hits(block, moves, others, any_one=True).any()
 
-    def _hits(self, block: int, moves: np.ndarray, others: np.ndarray) -> np.ndarray:
-        """bool[n]: whether a block, moved by each of float64[n, 3], overlaps any of the others."""
+    def _hits(
+        self, block: int, moves: np.ndarray, others: np.ndarray, any_one: bool = False
+    ) -> np.ndarray:
+        """bool[n]: whether a block, moved by each of float64[n, 3], overlaps any of the others.
+
+        Args:
+            any_one: stop at the first of the others that is hit.
+        """
         hits = np.zeros(len(moves), bool)
         if not len(moves):
             return hits
-        low = self.lower[block] + moves.min(0)
-        high = self.upper[block] + moves.max(0)
-        near = others & (self.lower < high).all(1) & (self.upper > low).all(1)
-        for n in np.flatnonzero(near).tolist():
+        near, reached = _boxes_met(block, self.lower, self.upper, others, moves)
+        for n, some in zip(near.tolist(), reached, strict=True):
+            some &= ~hits
+            if not some.any():
+                continue
             for a in self._of(block):
                 for b in self._of(n):
-                    hits |= _deep(*a, *b, moves, self.depth)
+                    hits[some] |= _deep(*a, *b, moves[some], self.depth)
+            if any_one and hits.any():
+                break
         return hits
 
     def _of(self, block: int) -> Parts:
@@ -221,6 +226,58 @@ def _directions(vectors: np.ndarray) -> np.ndarray:
     first = np.argmax(np.abs(unit) > 1e-6, axis=1)
     unit = unit * np.sign(unit[np.arange(len(unit)), first])[:, None]
     return np.ascontiguousarray(np.unique(unit.round(9), axis=0))
+
+
+@njit(cache=True)
+def _boxes_met(block, lower, upper, others, moves):
+    """Which others have boxes that the box of a block meets on its way, int64[k], and at which
+    moves, bool[k, n]. What is apart along x, y or z is apart."""
+    near = np.empty(len(lower), np.int64)
+    reached = np.zeros((len(lower), len(moves)), np.bool_)
+    count = 0
+    first, last = lower[block].copy(), upper[block].copy()
+    for c in range(3):
+        first[c] += moves[:, c].min()
+        last[c] += moves[:, c].max()
+    for n in range(len(lower)):
+        if not others[n]:
+            continue
+        apart = False
+        for c in range(3):
+            apart |= not (lower[n, c] < last[c] and upper[n, c] > first[c])
+        if apart:
+            continue
+        met = False
+        for k in range(len(moves)):
+            apart = False
+            for c in range(3):
+                move = moves[k, c]
+                apart |= not (lower[n, c] < upper[block, c] + move)
+                apart |= not (upper[n, c] > lower[block, c] + move)
+            reached[count, k] = not apart
+            met |= not apart
+        if met:
+            near[count] = n
+            count += 1
+    return near[:count], reached[:count]
+
+
+@njit(cache=True)
+def _way_out(block, lower, upper, others, way, offset):
+    """How far along a unit vector a block is from an offset on until it is beyond all others."""
+    length = np.inf
+    for c in range(3):
+        if abs(way[c]) <= 1e-9:
+            continue
+        far = -np.inf
+        for n in range(len(lower)):
+            if others[n]:
+                if way[c] > 0:
+                    far = max(far, upper[n, c] - lower[block, c] - offset[c])
+                else:
+                    far = max(far, upper[block, c] + offset[c] - lower[n, c])
+        length = min(length, far / abs(way[c]))
+    return length
 
 
 @njit(cache=True)

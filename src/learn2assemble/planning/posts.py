@@ -184,19 +184,21 @@ class PostSite:
                 continue
             bottom = np.column_stack([square, np.full(4, height)])
             vertices = np.concatenate([bottom, np.column_stack([square, top])])
-            made = Block(name, vertices, _BOX, POST, DENSITY, prop=True)
+            made: Block | None = Block(name, vertices, _BOX, POST, DENSITY, prop=True)
+            parts = parts_of(made)
             for n in others:
-                if made is not None and self._meets(made, n, _DEPTH * width):
+                if made is not None and self._meets(parts, n, _DEPTH * width):
                     made = self._cut(made, n, _DEPTH * width)
+                    parts = parts if made is None else parts_of(made)
             touches = made is not None and _reaches(made, face, _DEPTH * width)
             if made is not None and touches:
                 return Post(k, base, made)
         return None
 
-    def _meets(self, post: Block, other: int, depth: float) -> bool:
+    def _meets(self, post: Parts, other: int, depth: float) -> bool:
         if other not in self._parts:
             self._parts[other] = parts_of(self.blocks[other])
-        return overlap(parts_of(post), self._parts[other], depth)
+        return overlap(post, self._parts[other], depth)
 
     def _cut(self, post: Block, other: int, depth: float) -> Block | None:
         """A post without what reaches above a face of another block that looks down, or None."""
@@ -204,7 +206,7 @@ class PostSite:
         for face in self.faces[other]:
             if face.normal[2] < DOWN:
                 made = _below(post, face)
-                if made is not None and not self._meets(made, other, depth):
+                if made is not None and not self._meets(parts_of(made), other, depth):
                     best = made if best is None or made.volume > best.volume else best
         return best
 

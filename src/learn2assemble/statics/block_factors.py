@@ -22,6 +22,9 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
+_ROUNDING = 1e-15
+"""Pivots of less than this share of the largest entry are none."""
+
 
 class BlockMatrix:
     """A square matrix of 6 x 6 blocks, of which those of bodies that touch are not zero.
@@ -32,12 +35,13 @@ class BlockMatrix:
     Args:
         count: bodies, n.
         pairs: int64[2, c], those that touch; -1 stands for none.
+        rank: int64[n], of :func:`elimination_ranks`, or of some bodies of it; found by default.
     """
 
-    def __init__(self, count: int, pairs: np.ndarray) -> None:
+    def __init__(self, count: int, pairs: np.ndarray, rank: np.ndarray | None = None) -> None:
         self.count = count
+        self._rank = elimination_ranks(count, pairs) if rank is None else rank
         some = pairs[:, (pairs >= 0).all(0) & (pairs[0] != pairs[1])]
-        self._rank = _ranks(count, some)
         lower, upper = np.sort(self._rank[some], axis=0)
         code = np.unique(lower * count + upper)
         start = np.searchsorted(code, np.arange(count + 1) * count)
@@ -71,31 +75,53 @@ class BlockMatrix:
         """int64[...]: the numbers of the blocks of bodies with themselves."""
         return self._rank[body]
 
-    def solve(self, right: np.ndarray) -> np.ndarray | None:
+    def solve(self, right: np.ndarray, symmetric: bool = False) -> np.ndarray | None:
         """float64[n, 6] that the matrix takes to ``right``, or None where it is singular.
 
         The factors take the place of ``data``.
+
+        Args:
+            symmetric: it is, so that half of it says all; on the diagonal it is positive.
         """
         split = self.count + len(self._later)
         left_of, right_of = self.data[self.count : split], self.data[split:]
         answer = np.empty_like(right)
         answer[self._rank] = right
         ends = self._start, self._later
-        blocks = self.data[: self.count], left_of, right_of
-        return answer[self._rank] if _solve(*ends, *blocks, answer, self._work) else None
+        diagonal = self.data[: self.count]
+        if not symmetric:
+            solved = _solve(*ends, diagonal, left_of, right_of, answer, self._work)
+        elif solved := _factor_springs(*ends, diagonal, left_of, self._work):
+            _solve_springs(*ends, diagonal, left_of, answer)
+        return answer[self._rank] if solved else None
 
 
-def _ranks(count: int, pairs: np.ndarray) -> np.ndarray:
-    """int64[n]: when each body is eliminated, those with few neighbours first."""
-    if not pairs.shape[1]:
+def elimination_ranks(count: int, pairs: np.ndarray) -> np.ndarray:
+    """int64[n]: when each body is eliminated, those with few neighbours first.
+
+    Args:
+        pairs: int64[2, c], bodies that touch; -1 stands for none.
+    """
+    a, b = pairs[:, (pairs >= 0).all(0) & (pairs[0] != pairs[1])]
+    if not len(a):
         return np.arange(count)
-    ones = np.ones(pairs.shape[1])
-    graph = sp.coo_matrix((ones, (pairs[0], pairs[1])), (count, count)).tocsc()
-    graph = graph + graph.T
+    own = np.arange(count)
+    code = np.concatenate([a * count + b, b * count + a, own * count + own])
+    column, row = np.divmod(np.unique(code), count)
+    degree = np.bincount(column, minlength=count)
     # Any numbers on the diagonal that need no pivots will do: only the order is wanted.
-    graph = (graph + sp.diags(1.0 + graph.sum(0).A1)).tocsc()
+    number = np.where(row == column, degree[column], 1).astype(float)
+    start = np.append(0, np.cumsum(degree))
+    graph = sp.csc_matrix((number, row.astype(np.intc), start), (count, count))
     options = {"SymmetricMode": True}
     return splu(graph, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).perm_c.astype(int)
+
+
+def ranks_of(rank: np.ndarray, bodies: np.ndarray) -> np.ndarray:
+    """int64[m]: ranks of some bodies (int64[m]) among themselves."""
+    found = np.empty(len(bodies), np.int64)
+    found[np.argsort(rank[bodies])] = np.arange(len(bodies))
+    return found
 
 
 def sides_of(
@@ -133,8 +159,7 @@ class Springs:
         a, b = bodies
         code, self._pair = np.unique((a + 1) * count + b, return_inverse=True)
         self._pairs = np.stack([code // count - 1, code % count])
-        some = self._pairs[:, self._pairs[0] >= 0]
-        self._rank = _ranks(count, some)
+        self._rank = elimination_ranks(count, self._pairs)
         self._parts: dict[tuple[int, ...], np.ndarray] = {}
 
     def factors(
@@ -357,22 +382,42 @@ def _fill_in(a, b, on_a, on_b, pair, stiff, soft, diagonal, beside):  # pragma: 
 
 @njit(cache=True)
 def _factor_springs(start, later, diagonal, beside, work):  # pragma: no cover
-    """Factor in place: ``diagonal`` becomes its own inverses. Returns whether no pivot is zero."""
+    """Cholesky's factors in place. Returns whether there are any.
+
+    Inverses of the blocks on the diagonal would take less time to apply, but where some bodies
+    hang on the others by little they lose all digits.
+    """
     size = diagonal.shape[1]
-    inverse = np.empty((size, size))
+    largest = 0.0
     for k in range(len(diagonal)):
-        if not _invert(diagonal[k], inverse):
-            return False
-        diagonal[k] = inverse
+        for r in range(size):
+            largest = max(largest, diagonal[k, r, r])
+    for k in range(len(diagonal)):
+        block = diagonal[k]
+        for r in range(size):
+            for c in range(r + 1):
+                rest = block[r, c]
+                for q in range(c):
+                    rest -= block[r, q] * block[c, q]
+                if r > c:
+                    block[r, c] = rest * block[c, c]
+                elif not rest > _ROUNDING * largest:
+                    return False
+                else:
+                    block[r, r] = 1.0 / np.sqrt(rest)  # Only ever divided by.
         first, last = start[k], start[k + 1]
         rows = size * (last - first)
         if rows == 0:
             continue
         mine = beside[first:last].reshape(rows, size)
-        factor = work[: size * rows].reshape(rows, size)
-        np.dot(mine, inverse, factor)
-        update = work[size * rows : (size + rows) * rows].reshape(rows, rows)
-        np.dot(factor, mine.T, update)
+        for row in range(rows):
+            for c in range(size):
+                rest = mine[row, c]
+                for q in range(c):
+                    rest -= mine[row, q] * block[c, q]
+                mine[row, c] = rest * block[c, c]
+        update = work[: rows * rows].reshape(rows, rows)
+        np.dot(mine, mine.T, update)
         for e in range(last - first):
             i = later[first + e]
             # What is later than i and touches k touches i as well, in the same order.
@@ -387,7 +432,6 @@ def _factor_springs(start, later, diagonal, beside, work):  # pragma: no cover
                 for r in range(size):
                     for c in range(size):
                         target[r, c] -= update[size * g + r, size * e + c]
-        mine[:] = factor
     return True
 
 
@@ -396,23 +440,25 @@ def _solve_springs(start, later, diagonal, beside, x):  # pragma: no cover
     """Solve in place with factors."""
     count, size = x.shape
     for k in range(count):
+        for r in range(size):
+            for c in range(r):
+                x[k, r] -= diagonal[k, r, c] * x[k, c]
+            x[k, r] *= diagonal[k, r, r]
         for e in range(start[k], start[k + 1]):
             i = later[e]
             for r in range(size):
                 for c in range(size):
                     x[i, r] -= beside[e, r, c] * x[k, c]
-    solved = np.empty(size)
     for k in range(count - 1, -1, -1):
-        for r in range(size):
-            solved[r] = 0.0
-            for c in range(size):
-                solved[r] += diagonal[k, r, c] * x[k, c]
         for e in range(start[k], start[k + 1]):
             i = later[e]
-            for c in range(size):
-                for r in range(size):
-                    solved[c] -= beside[e, r, c] * x[i, r]
-        x[k] = solved
+            for r in range(size):
+                for c in range(size):
+                    x[k, c] -= beside[e, r, c] * x[i, r]
+        for r in range(size - 1, -1, -1):
+            for c in range(r + 1, size):
+                x[k, r] -= diagonal[k, c, r] * x[k, c]
+            x[k, r] *= diagonal[k, r, r]
 
 
 @njit(cache=True)

@@ -80,6 +80,7 @@ class Joined:
         stiffness: float64[c], along the normal.
         weight: float64[n]; forces that are missing are measured in it.
         held: blocks that bounded hands hold.
+        rank: int64[n], when each block is eliminated; found by default.
     """
 
     def __init__(
@@ -89,6 +90,7 @@ class Joined:
         stiffness: np.ndarray,
         weight: np.ndarray,
         held: Sequence[HeldBlock] = (),
+        rank: np.ndarray | None = None,
     ) -> None:
         self.body = body
         self.wrench = wrench
@@ -96,7 +98,7 @@ class Joined:
         self.weight = weight
         self.count: int = len(weight)
         self.corners: int = body.shape[1]
-        self._matrix = BlockMatrix(self.count, body)
+        self._matrix = BlockMatrix(self.count, body, rank)
         known = np.maximum(body, 0)
         self._places = self._matrix.places(known[:, None], known[None])
         self._force = np.zeros((2, self.corners, 3))
@@ -275,7 +277,7 @@ class Joined:
         # Blocks that nothing holds have springs to the ground, and rounding does not undo these.
         diagonal = data[: self.count, along, along]
         data[: self.count, along, along] += _SPRING + 1e-12 * diagonal.max(initial=0.0)
-        change = self._matrix.solve(self._left[now])
+        change = self._matrix.solve(self._left[now], symmetric=law.kind == _NEAREST)
         return change if change is not None and np.isfinite(change).all() else None
 
     def _answer(
@@ -406,3 +408,17 @@ def _assemble(body, wrench, slope, leak, springs, at, turned, data):
                     for c in range(6):
                         for k in range(3):
                             block[r, c] += wrench[row, p, k, r] * moved[k, c]
+
+
+@njit(cache=True)
+def add_wrenches(body, wrench, forces, result):  # pragma: no cover
+    """Add what forces at corners do to both of their blocks, in place."""
+    for p in range(len(forces)):
+        for r in range(3):
+            force = forces[p, r]
+            if force != 0.0:
+                for side in range(2):
+                    block = body[side, p]
+                    if block >= 0:
+                        for w in range(6):
+                            result[block, w] += force * wrench[side, p, r, w]

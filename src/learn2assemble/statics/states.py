@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.assembly.hands import Hand
 from learn2assemble.constants import GRAVITY
 from learn2assemble.geometry.reach import inner_circle
+from learn2assemble.statics.block_factors import elimination_ranks, ranks_of
 from learn2assemble.statics.block_forces import (
     BALANCED,
     BALANCED_COUPLED,
@@ -27,7 +29,7 @@ from learn2assemble.statics.block_forces import (
     corner_softness,
     corner_wrenches,
 )
-from learn2assemble.statics.elastic_joints import Joined
+from learn2assemble.statics.elastic_joints import Joined, add_wrenches
 from learn2assemble.statics.hands import NO_HANDS, held_blocks
 from learn2assemble.statics.rigid_blocks import STIFFNESS, solve
 
@@ -259,6 +261,11 @@ class States:
         a, b = self.body
         return state.present[b] & ((a < 0) | state.present[a])
 
+    @cached_property
+    def _rank(self) -> np.ndarray:
+        """int64[B]: when each block is eliminated; parts keep the order."""
+        return elimination_ranks(len(self.mass), self.body)
+
     def part(
         self, state: State, blocks: np.ndarray, bears: np.ndarray | None = None
     ) -> tuple[Joined, np.ndarray]:
@@ -287,6 +294,7 @@ class States:
             self._stiffness[corners],
             self.mass[blocks],
             held,
+            ranks_of(self._rank, blocks),
         )
         return joined, corners
 
@@ -302,13 +310,9 @@ class States:
 
     def loads(self, forces: np.ndarray) -> np.ndarray:
         """float64[B, 6]: what forces float64[C, 3] at the corners do to all blocks."""
-        count = len(self.mass)
-        result = np.zeros((count + 1) * 6)
-        for body, wrench in zip(self.body, self._wrench, strict=True):
-            at = 6 * np.where(body >= 0, body, count)[:, None] + np.arange(6)
-            on = np.einsum("ck,ckw->cw", forces, wrench)
-            result += np.bincount(at.reshape(-1), on.reshape(-1), len(result))
-        return result.reshape(-1, 6)[:count]
+        result = np.zeros((len(self.mass), 6))
+        add_wrenches(self.body, self._wrench, forces, result)
+        return result
 
     def grown(self, blocks: np.ndarray, free: np.ndarray, hops: int = _HOPS) -> np.ndarray:
         """int64: free blocks within some contacts of the given ones."""
