@@ -9,11 +9,11 @@ import pytest
 
 from brick_data import bricks, random_bricks
 from learn2assemble.planning.given import plan_assembly
-from learn2assemble.statics import holding, holding_near
+from learn2assemble.statics import holding
 from learn2assemble.statics.holding import Balance, Push, balance_of
 from learn2assemble.statics.holding_check import margin_n, stands_by_joints
 from learn2assemble.statics.holding_forces import forces_of
-from learn2assemble.statics.holding_near import _SHOWN, MANY, NearForces
+from learn2assemble.statics.holding_near import _SHOWN, NearForces
 from learn2assemble.statics.holding_start import first_basis
 from learn2assemble.statics.rigid_blocks import check
 from test_brick_order import replay
@@ -104,13 +104,10 @@ def test_what_hangs_over_what_is_taken_comes_off_with_it() -> None:
     replay(plan)
 
 
-def test_what_bricks_need_is_witnessed_and_not_less_than_the_least(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Trees of all strengths: forces balance every brick. Of many they need little."""
-    shown = {MANY: 0, 1: 0}
-    for seed, many in itertools.product(range(32), shown):
-        monkeypatch.setattr(holding_near, "MANY", many)
+def test_what_bricks_need_is_witnessed_and_not_less_than_the_least() -> None:
+    """Trees of all strengths: forces balance every brick, those that need little and any."""
+    shown = {True: 0, False: 0}
+    for seed, little in itertools.product(range(32), shown):
         model = bricks(*random_bricks(seed, 60))
         least = stands_by_joints(model).need.share
         if not np.isfinite(least):
@@ -120,14 +117,14 @@ def test_what_bricks_need_is_witnessed_and_not_less_than_the_least(
             if found.tight:
                 continue
             balance = found.balance
-            near = NearForces(balance, found.forces, thorough=False).need()
+            near = NearForces(balance, found.forces, thorough=False).need(little)
             if near is None:
-                assert many == MANY or found.need.share > 0.99 * _SHOWN
+                assert not little or found.need.share > 0.99 * _SHOWN
                 continue
             assert found.need.share - 1e-6 <= near.share <= 1.0
             assert not near.least
-            assert many == MANY or near.share <= _SHOWN + 1e-6
-            shown[many] += 1
+            assert not little or near.share <= _SHOWN + 1e-6
+            shown[little] += 1
             columns = balance.columns
             assert ((near.forces >= columns.lower - 1e-9) & (near.forces <= columns.upper)).all()
             load = balance.pushed(None) * balance.unit

@@ -12,8 +12,10 @@ from learn2assemble.assembly.joints import Joint
 from learn2assemble.errors import InputError
 from learn2assemble.statics.holding import Balance, Need
 from learn2assemble.statics.holding_forces import Columns, Forces, forces_of
-from learn2assemble.statics.holding_near import MANY, NearForces
+from learn2assemble.statics.holding_near import NearForces
 
+MANY = 1000
+"""Blocks from which no one looks for the least strength they need."""
 _FEW = 30
 """Blocks up to which the least strength they need takes no longer than any forces."""
 
@@ -34,7 +36,7 @@ def stands_by_joints(assembly: Assembly, least: bool = True) -> JointAnswer:
 
     Args:
         least: whether the least strength is wanted with which it does; any forces take less time.
-            Of more than :data:`~learn2assemble.statics.holding_near.MANY` blocks no one looks for
+            Of more than :data:`MANY` blocks no one looks for
             it.
 
     Raises:
@@ -50,9 +52,12 @@ def stands_by_joints(assembly: Assembly, least: bool = True) -> JointAnswer:
         raise InputError(where, float(low.vertices[:, 2].min()), expected)
     balance = Balance(assembly, forces)
     if balance.count > (MANY if least else _FEW):
-        near = NearForces(balance, forces, thorough=False).need()
-        if near is not None:
-            return JointAnswer(near, False, balance, forces)
+        near = NearForces(balance, forces, thorough=False)
+        found = near.need(little=least)
+        if found is None and balance.count > MANY:
+            found = near.need(little=True)
+        if found is not None:
+            return JointAnswer(found, False, balance, forces)
     need = balance.need()
     beside = Columns(*(field[~forces.upright] for field in forces.columns))
     if need.stands or not len(beside.b) or not balance.lessened_by(beside):
@@ -96,10 +101,13 @@ def margin_n(share: float, joint: Joint | None) -> float | None:
 
 def margin_of(found: JointAnswer, joint: Joint | None) -> float | None:
     """The margin of :func:`margin_n` of an answer: the largest, but of more than
-    :data:`~learn2assemble.statics.holding_near.MANY` blocks one that they have for certain."""
+    :data:`MANY` blocks one that they have for certain."""
     need = found.need
     if not need.least and found.balance.count <= MANY:
         need = found.balance.need()
+    elif not need.least:
+        near = NearForces(found.balance, found.forces, thorough=False)
+        need = near.need(little=True) or need
     return margin_n(need.share, joint)
 
 

@@ -29,8 +29,6 @@ from learn2assemble.statics.holding_forces import Forces
 from learn2assemble.statics.holding_solver import nearest
 from learn2assemble.statics.passing_on import PARTS, JointSums
 
-MANY = 1000
-"""Blocks from which no one looks for the least strength they need."""
 _KEPT = 4
 """States whose forces are kept to go on from."""
 _EXACT = 1e-7
@@ -119,16 +117,17 @@ class NearForces:
         if made is not None:
             self._keep(present, held, made.state.size)
 
-    def need(self) -> Need | None:
+    def need(self, little: bool = False) -> Need | None:
         """Forces of all blocks, not those that need the least strength; None where none are found.
 
-        Of many blocks they need at most :data:`_SHOWN` of it: what no one looks for the least of.
+        Args:
+            little: whether they need at most :data:`_SHOWN` of it, which takes a program.
         """
         balance, push, even = self.balance, self._even > 0, self._even
         size = self._known[-1].size if self._known else np.zeros(len(even))
-        if not self._known and balance.count <= MANY:
+        if not self._known and not little:
             return None
-        if balance.count > MANY and (size < (1.0 - _SHOWN) * even).any():
+        if little and (size < (1.0 - _SHOWN) * even).any():
             rows = np.flatnonzero(np.repeat(~balance.fixed, 6))
             everything = np.ones(balance.count, bool)
             load = self._load(everything, None)
