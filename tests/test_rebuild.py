@@ -82,7 +82,9 @@ def check_states(plan: Plan) -> None:
 def fewest(old: Assembly, plan: Plan) -> int | None:
     """The fewest moves of all orders, looked for in all of them (Dijkstra)."""
     assert plan.assembly is not None
-    change, rules, _ = changed_over(old.finished, plan, 60.0)
+    change, rules, _ = changed_over(
+        old.finished, plan, 60.0, plan.gap_range[1] if plan.gap_range else 0.0
+    )
     count = len(change.blocks)
     start, end = (sum(1 << k for k in np.flatnonzero(s)) for s in (change.old, change.new))
     queue, known = [(0, start, -1)], {(start, -1): 0}
@@ -201,6 +203,31 @@ def test_what_stood_from_the_start_is_in_the_file():
     assert whole.at_first == (True,)
     with pytest.raises(InputError, match="a new one"):
         Assembly((block,), (AssemblyStep(remove="a"), *[AssemblyStep(place="a")] * 2))
+
+
+def test_an_old_structure_that_stands_on_narrow_joints_alone_is_turned_into_another():
+    """A brick that leans out by almost half, and a new wall that bears joints of centimetres."""
+    plan = planned(wall(4, 2))
+    assert plan.gap_range is not None
+    assert plan.gap_range[1] > 0.005
+    low, high = standing(plan).finished.blocks[0].vertices[[0, -1]]
+    size = high - low
+    upper = low + size * [0.48, 0, 1]
+    kind = standing(plan).finished.blocks[0].kind
+    boxes = [
+        box_block("a", low, low + size, kind=kind),
+        box_block("b", upper, upper + size, kind=kind),
+    ]
+    old = replace(standing(plan), blocks=tuple(boxes), steps=(), not_built=())
+    assert check(old).verdict == "stands"
+    made = rebuild(old, plan)
+    assert made.complete
+    assert made.gap_range is not None
+    assert made.gap_range[1] < plan.gap_range[1]
+    upper = low + size * [0.52, 0, 1]
+    leaning = box_block("b", upper, upper + size, kind=kind)
+    with pytest.raises(InputError, match="falls"):
+        rebuild(replace(old, blocks=(boxes[0], leaning)), plan)
 
 
 def test_what_cannot_be_turned_into_another_is_said():

@@ -61,14 +61,17 @@ def rebuild(
     started = time.perf_counter()
     if not plan.complete or plan.assembly is None:
         return plan
-    change, rules, ends = changed_over(old.finished, plan, seconds)
-    blocks = change.blocks
-    nothing = np.zeros(len(blocks), bool)
-    begin, end = State(change.old, nothing), State(change.new, nothing)
-    for state, what in ((begin, "old structure"), (end, "")):
-        if rules.law(state) is not None:
-            continue
-        names = list_ids(blocks, rules.laws[-1].moving(state)) or "some blocks"
+    what, names = "", ""
+    for gap in _widths(plan):
+        change, rules, ends = changed_over(old.finished, plan, seconds, gap)
+        blocks, nothing = change.blocks, np.zeros(len(change.blocks), bool)
+        begin, end = State(change.old, nothing), State(change.new, nothing)
+        falls = [state for state in (begin, end) if rules.law(state) is None]
+        if not falls:
+            break
+        what = what if falls[0] is end else "old structure"
+        names = list_ids(blocks, rules.laws[-1].moving(falls[0])) or "some blocks"
+    else:
         if what:
             raise InputError(what, f"a structure that falls: {names} move", "one that stands")
         reason = f"that the new structure stands is not proven: {names} may move"
@@ -87,7 +90,8 @@ def rebuild(
     whole = replace(
         plan.assembly, blocks=blocks, steps=(), joints=(), not_built=(), name=plan.design.name
     )
-    told = plan_of(whole, made, ends, plan.gap_range, started, change.old, change.new)
+    gaps = plan.gap_range and (plan.gap_range[0], gap)
+    told = plan_of(whole, made, ends, gaps, started, change.old, change.new)
     placed = [step.block for step in steps if step.action == "place"]
     taken = [step.block for step in steps if step.action == "remove"]
     report = RebuildReport(
@@ -108,13 +112,25 @@ def rebuild(
     )
 
 
+def _widths(plan: Plan) -> list[float]:
+    """Widths of vertical joints for which states may be proven, the largest first [m].
+
+    A plan tells of the widest that its own states bear, which may be more than the old structure
+    does: then narrower ones will have to do.
+    """
+    low, high = plan.gap_range or (0.0, 0.0)
+    narrower = [high / 4**k for k in range(1, 4)]
+    return [high, *(width for width in narrower if width > low), *([low] if low < high else [])]
+
+
 def changed_over(
-    old: Assembly, plan: Plan, seconds: float
+    old: Assembly, plan: Plan, seconds: float, gap: float
 ) -> tuple[Changeover, Forward, tuple[float, float]]:
     """What has to be done, the rules that prove states of it, and the friction they hold for.
 
     Args:
         old, plan, seconds: as of :func:`rebuild`.
+        gap: width to which vertical joints may open [m].
     """
     assert plan.assembly is not None
     new = plan.assembly.finished
@@ -129,7 +145,6 @@ def changed_over(
 
     ends = plan.friction_range or (new.friction, new.friction)
     some = {ends[0], ends[1]} if ends[1] < LARGEST else {ends[0]}
-    gap = plan.gap_range[1] if plan.gap_range else 0.0
     layers = contact_layers(blocks, faces, every, gap)
     # As of any plan of cells, margins are those with the friction of the kit.
     problem = OrderProblem(whole, layers, tuple(sorted(some)), new.friction)
