@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,11 +27,22 @@ from learn2assemble.planning.given import contact_layers
 from learn2assemble.planning.given_plan import plan_of
 from learn2assemble.planning.orders import OrderProblem, site_of
 from learn2assemble.planning.plan import LARGEST, Plan, RebuildReport
-from learn2assemble.planning.rebuilding import count_moves, find_rebuilding
+from learn2assemble.planning.rebuilding import Rebuilt, count_moves, find_rebuilding
 from learn2assemble.planning.sequence import Sequenced, list_ids, reported
 from learn2assemble.statics.states import State
 
 Progress = Callable[[str], None]
+
+
+class _Tried(NamedTuple):
+    """An attempt for one width of vertical joints."""
+
+    change: Changeover
+    rules: Forward
+    ends: tuple[float, float]
+    gap: float
+    bound: int
+    found: Rebuilt
 
 
 def rebuild(
@@ -61,24 +73,31 @@ def rebuild(
     started = time.perf_counter()
     if not plan.complete or plan.assembly is None:
         return plan
-    what, names = "", ""
+    clock, tried, falls = Clock(seconds), None, ("", "")
     for gap in _widths(plan):
         change, rules, ends = changed_over(old.finished, plan, seconds, gap)
-        blocks, nothing = change.blocks, np.zeros(len(change.blocks), bool)
+        nothing = np.zeros(len(change.blocks), bool)
         begin, end = State(change.old, nothing), State(change.new, nothing)
-        falls = [state for state in (begin, end) if rules.law(state) is None]
-        if not falls:
+        unproven = [state for state in (begin, end) if rules.law(state) is None]
+        if unproven:
+            names = list_ids(change.blocks, rules.laws[-1].moving(unproven[0])) or "some blocks"
+            falls = "old" if unproven[0] is begin else "new", names
+            continue
+        bound = fewest_moves(change, Clock(seconds / 4))
+        found = find_rebuilding(change, rules, bound, clock, progress)
+        tried = _Tried(change, rules, ends, gap, bound, found)
+        if found.complete or clock.left <= 0:
             break
-        what = what if falls[0] is end else "old structure"
-        names = list_ids(blocks, rules.laws[-1].moving(falls[0])) or "some blocks"
-    else:
-        if what:
-            raise InputError(what, f"a structure that falls: {names} move", "one that stands")
+    if tried is None:
+        which, names = falls
+        if which == "old":
+            got = f"a structure that falls: {names} move"
+            raise InputError("old structure", got, "one that stands")
         reason = f"that the new structure stands is not proven: {names} may move"
         return replace(plan, status="not found", reason=reason)
-    clock = Clock(seconds)
-    bound = fewest_moves(change, Clock(seconds / 4))
-    found = find_rebuilding(change, rules, bound, clock, progress)
+    change, rules, ends, gap, bound, found = tried
+    blocks = change.blocks
+    begin = State(change.old, np.zeros(len(blocks), bool))
     steps = tuple(reported(rules.laws, rules.law, begin, found.steps))
     reason = None
     if not found.complete:
