@@ -136,7 +136,7 @@ def pressing(loads: frozenset[str]) -> tuple[Traffic, list[list[Motion]]]:
         held = in_hand(arm, solid_capsules(brick, np.array([0.0, 0.0, 0.02]), np.eye(3)))
         goal = still(solid_capsules(brick, np.array([0.0, 3.0 + who, 0.0]), np.eye(3)))
         legs = [Leg(s, sweep(arm, capsules_of(arm), np.array(way))) for s, way in ways.items()]
-        assert traffic.announce(who, Route("ab"[who], held, tuple(legs), goal, (), loads))
+        assert traffic.announce(who, Route("ab"[who], held, tuple(legs), goal, loads=loads))
         motions.append([])
         for stage, way in ways.items():
             joints = np.array(way)

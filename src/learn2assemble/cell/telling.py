@@ -92,7 +92,9 @@ def route_of(run: Execution, block: str, along: Sequence[str] = ()) -> Route:
     legs.append(Leg("place", sweep(arm, both, place[::-1])))
     legs.append(Leg("retreat", sweep(arm, own, leave)))
     legs += [Leg("home", sweep(arm, own, np.array(way))) for way in pairwise(run.course.home)]
-    return Route(block, held, tuple(legs), goal, tuple(along), _loads(order))
+    # The way down goes on below the place, the farther the harder it is pressed there.
+    there = sweep(arm, both, place[np.abs(plan.place.rise).argmin()][None])
+    return Route(block, held, tuple(legs), goal, there, tuple(along), _loads(order))
 
 
 def _loads(order: Order) -> frozenset[str]:

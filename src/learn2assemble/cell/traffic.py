@@ -57,7 +57,7 @@ NOT_PLACED = "the block that comes before it was not placed"
 BEHIND = ("cross", "place")
 """Stages that begin only when the block that they are behind is placed."""
 PLACED = 0.005
-"""An arm lets go of its block in its place where it is so near to where its way down was to end
+"""An arm lets go of its block in its place where it is so near to where it was to have it there
 [m]."""
 
 
@@ -78,6 +78,8 @@ class Route(NamedTuple):
     legs: tuple[Leg, ...]
     goal: Sweep
     """The block in its place."""
+    there: Sweep | None = None
+    """The arm with the block in its place."""
     along: tuple[str, ...] = ()
     """Names of the blocks that it brings along."""
     loads: frozenset[str] = frozenset()
@@ -215,13 +217,10 @@ class Traffic:
         """An arm has let go of what it held; where that is its block in its place, whoever waits
         for it may go on."""
         lane, other = self.lanes[who], self.other(who)
-        down = (
-            [leg.swept.end for leg in lane.route.legs if leg.stage == "place"] if lane.route else []
-        )
-        for end in down:
-            if end.lines.shape == lane.here.end.lines.shape:
-                off = np.linalg.norm(end.lines - lane.here.end.lines, axis=3).max()
-                lane.placed = lane.placed or bool(off < PLACED)
+        there, here = None if lane.route is None else lane.route.there, lane.here.end
+        if there is not None and there.lines.shape == here.lines.shape:
+            off = np.linalg.norm(there.lines - here.lines, axis=3).max()
+            lane.placed = lane.placed or bool(off < PLACED)
         if lane.placed and other.behind is lane.route:
             other.behind = None
             self.changes += 1
