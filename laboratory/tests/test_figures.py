@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from l2a_lab import builds, creep, hidden, sensing, shapes, speed
+import learn2assemble as l2a
+from l2a_lab import builds, creep, hidden, sensing, shapes, speed, two_arms_bricks
 from l2a_lab import designs as design_figures
 from l2a_lab import structures as figures
 from l2a_lab.arm_distances import MOMENTS
@@ -412,6 +413,37 @@ def test_the_eight_have_as_many_blocks_as_is_said() -> None:
     assert {name.split("/")[1] for name in told} <= set(EIGHT)
     assert all(40 <= one["blocks"] <= 100 for one in told.values())
     assert all(one["moments"] == MOMENTS for one in told.values() if "moments" in one)
+
+
+def test_bricks_of_two_arms_are_told_beside_one_after_the_other() -> None:
+    def one(seconds: float, in_turn: float) -> dict[str, Any]:
+        told = {"status": "complete", "blocks": 5, "robot_s": seconds, "in_turn_s": in_turn}
+        return told | {"least_distance": 0.0213, "reason": None}
+
+    refused = {"status": "refused", "reason": "why"}
+    entries = {
+        **{"bricks/apex_R/both": one(30.0, 50.0), "bricks/apex_R/panda": one(60.0, 0.0)},
+        **{"bricks/apex_rss/both": one(40.0, 50.0), "bricks/apex_cliff/both": refused},
+        # A wall of our own does not count to the mean.
+        f"bricks/{two_arms_bricks.WALL}/both": one(10.0, 50.0),
+    }
+    assert two_arms_bricks.table(entries).splitlines()[2:] == [
+        "| apex_R | 5 | 30.0 | 50.0 | 0.60 | 60.0 | 21.3 |",
+        "| apex_cliff |  | refused |  |  |  |  |",
+        "| apex_rss | 5 | 40.0 | 50.0 | 0.80 |  | 21.3 |",
+        "| wall of bricks | 5 | 10.0 | 50.0 | 0.20 |  | 21.3 |",
+        "| mean of 2 tasks of APEX-MR | | | | 0.70 | | |",
+    ]
+    rows = two_arms_bricks.summary(entries)
+    assert rows[-1][1:] == ("<= 0.52 mean", "0.70 mean of 2")
+    assert [got for what, _, got in rows if what == "apex_cliff"] == ["refused (why)"]
+
+
+def test_the_wall_of_bricks_is_in_bond() -> None:
+    bricks = two_arms_bricks.wall(12, 3)
+    wide = [round(float(np.ptp(block.vertices[:, 0])), 3) for block in bricks.blocks]
+    assert wide == [0.032] * 3 + [0.016, 0.032, 0.032, 0.016] + [0.032] * 3
+    assert l2a.check(bricks).verdict == "stands"
 
 
 def test_the_table_says_what_no_arm_builds_alone() -> None:

@@ -15,11 +15,13 @@ from typing import Any
 
 import numpy as np
 
+from l2a_lab import two_arms_bricks
 from l2a_lab.arm_distances import MOMENTS, WatchedCell
 from l2a_lab.builds import EXAMPLES, PLAN_SECONDS, SMALL_FIRST, STRUCTURES
 from l2a_lab.measured import Figures, Result
 from l2a_lab.shapes import SHAPES, wall
 from l2a_lab.stopped_arm import APART, Job, drawn, stopped
+from l2a_lab.two_arms_bricks import ARM, BOTH, BRICKS
 from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
 from learn2assemble.cell.carry_out import carry_out
 from learn2assemble.cell.crew import Member
@@ -34,7 +36,7 @@ from learn2assemble.design.read import read_design
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells
 
-ARMS, BOTH = ("ur5e", "panda"), "both"
+ARMS = ("ur5e", "panda")
 WALLS = {f"wall {x} x {y} x {z}": (x, y, z) for x, y, z in ((10, 2, 3), (16, 2, 5), (16, 2, 9))}
 """Of the kit of bricks: cells along each axis."""
 CELL = 0.032
@@ -79,6 +81,7 @@ def names() -> list[str]:
         for what in designs
         for who in (*ARMS, BOTH)
     ]
+    built += [f"bricks/{what}/{who}" for what in BRICKS for who in (ARM, BOTH)]
     built += [f"holds/{HELD}/{number}" for number in range(SWAYED)]
     return [*built, *(f"stopped/{STOPPED}/{number}" for number in range(STOPS))]
 
@@ -89,6 +92,8 @@ def entry(name: str) -> Result:
     started = time.process_time()
     if kind == "holds":
         return _holding(int(who), started)
+    if kind == "bricks":
+        return two_arms_bricks.entry(what, who)
     design, kit = _design(what)
     plan = plan_cells(design, kit, seconds=PLAN_SECONDS)
     if kind == "stopped":
@@ -289,6 +294,7 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
     if any(name.startswith("holds/") for name in entries):
         asked = f"complete, no post, <= {1e3 * MOST_OFF:g} mm, >= {1e3 * APART:g} mm apart"
         rows.append((f"{HELD}, one holds while the other one builds", asked, holds_told(entries)))
+    rows += two_arms_bricks.summary(entries)
     for kind, found in shares.items():
         mean = f"{np.mean(found):.2f} mean of {len(found)}"
         rows.append((f"two arms over one, {kind}", f"<= {ASKED} mean", mean))

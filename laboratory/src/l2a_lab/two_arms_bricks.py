@@ -1,0 +1,167 @@
+"""How much sooner two arms press bricks home than one, and than the same two one after the other:
+the part ``bricks/`` of ``results/two_arms.json``.
+
+What two arms would take one after the other is the sum of what both did, without what they waited
+for one another: less than that it cannot be with these motions.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import learn2assemble as l2a
+from l2a_lab.arm_distances import WatchedCell
+from l2a_lab.measured import Result
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.bricks.files import of_stablelego
+from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
+from learn2assemble.assembly.kit import load_kit
+from learn2assemble.cell.brick_team import bricks_by_team
+from learn2assemble.cell.pair import gather
+from learn2assemble.cell.site import Site
+from learn2assemble.cell.site_arms import SiteArm
+from learn2assemble.cell.team import set_up_team
+from learn2assemble.cell.together import Together, built_by
+from learn2assemble.cell.workcell import Workcell
+
+RECORDED = Path("tests/data/clutch_designs.jsonl.gz")
+ARM, TOOL, BOTH = "panda", "gripper", "both"
+TASKS = tuple(f"apex_{name}" for name in ("R", "fish_high", "cliff", "bridge", "rss", "vessel"))
+"""Of APEX-MR (Huang et al., RSS 2025)."""
+WALL, LENGTH, LAYERS = "wall of bricks", 28, 6
+"""Small bricks of four studs by two in running bond, with halves at the ends of every other layer:
+so many studs long and bricks high."""
+BRICKS = (*TASKS, WALL)
+ASKED = 0.52
+"""Of the time of both one after the other, for the tasks; published."""
+
+
+def entry(what: str, who: str) -> Result:
+    """A build by one arm, or by both.
+
+    Args:
+        what: one of :data:`BRICKS`.
+        who: :data:`ARM` or :data:`BOTH`.
+    """
+    started, bricks = time.process_time(), _bricks(what)
+    if who == BOTH:
+        return _together(bricks, started)
+    done = l2a.build(bricks, arm=ARM)
+    told: Result = {}
+    if done.arm is not None:
+        told = {"robot_s": done.arm.seconds, "attempts": done.arm.attempts}
+    said = {"status": done.status, "reason": done.reason, "blocks": done.blocks.used}
+    return {**said, **told, "building_s": round(time.process_time() - started, 2)}
+
+
+def _together(bricks: Assembly, started: float) -> Result:
+    members = set_up_team(bricks, [SiteArm(n, ARM, TOOL) for n in ("one", "two")], Site())
+    workcell = Workcell(ARM, TOOL, hands=True)
+    plan, order = bricks_by_team(bricks, members, workcell)
+    planned = round(time.process_time() - started, 2)
+    if not plan.complete:
+        return {"status": plan.status, "reason": plan.reason, "planning_s": planned}
+    cells: list[WatchedCell] = []
+
+    def opened(setup: Any) -> WatchedCell:
+        cells.append(WatchedCell(setup))
+        return cells[-1]
+
+    both = Together(gather(plan, members, workcell, 0.0, order), opened)
+    done = built_by(both, plan, lambda text: None, time.perf_counter())
+    least = cells[0].least()
+    alone = sum(turn.end - turn.begin for turn in both.turns)
+    return {
+        "status": done.status,
+        "reason": done.reason,
+        "blocks": done.blocks.used,
+        "robot_s": done.robot_s,
+        "in_turn_s": round(alone - sum(arm.waited for arm in both.arms), 2),
+        "attempts": len(both.turns),
+        "least_distance": round(least.distance, 5),
+        "moments": least.moments,
+        "planning_s": planned,
+        "building_s": round(time.process_time() - started, 2),
+    }
+
+
+def _bricks(what: str) -> Assembly:
+    if what == WALL:
+        return wall(LENGTH, LAYERS)
+    with gzip.open(RECORDED, "rt") as file:
+        found = {told["name"]: told for told in map(json.loads, file)}
+    return of_stablelego(found[what], what, what, None)
+
+
+def wall(length: int, layers: int) -> Assembly:
+    """See :data:`WALL`."""
+    made: list[Brick] = []
+    for z in range(layers):
+        ends = [0, *range(2 * (z % 2) or 4, length, 4), length]
+        for low, high in pairwise(ends):
+            made.append(Brick((low, 0, 3 * z), (high - low, 2, 3), f"brick {len(made)}"))
+    return assembly_of(BrickModel(tuple(made)), load_kit("lego"), WALL)
+
+
+def share(entries: dict[str, Result], what: str) -> float | None:
+    """What both took of what they would have one after the other; None where they did not."""
+    both = entries.get(f"bricks/{what}/{BOTH}", {})
+    return both["robot_s"] / both["in_turn_s"] if both.get("status") == "complete" else None
+
+
+def table(entries: dict[str, Result]) -> str:
+    """What was reached, in Markdown, as far as it was measured, with the mean of the tasks."""
+    lines = [
+        "| bricks | bricks | two arms [s] | one after the other [s] | ratio | one arm [s] "
+        "| least distance [mm] |",
+        "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
+    ]
+    for what in BRICKS:
+        both, one = (entries.get(f"bricks/{what}/{who}", {}) for who in (BOTH, ARM))
+        if not both:
+            continue
+        part = share(entries, what)
+        told = [both["status"], "", ""]
+        if part is not None:
+            told = [f"{both['robot_s']:.1f}", f"{both['in_turn_s']:.1f}", f"{part:.2f}"]
+        alone = f"{one['robot_s']:.1f}" if one.get("status") == "complete" else one.get("status")
+        apart = f"{1e3 * both['least_distance']:.1f}" if part is not None else ""
+        cells = [what, str(both.get("blocks", "")), *told, alone or "", apart]
+        lines.append(f"| {' | '.join(cells)} |")
+    found = _shares(entries)
+    if found:
+        words = f"mean of {len(found)} tasks of APEX-MR"
+        lines.append(f"| {words} | | | | {np.mean(found):.2f} | | |")
+    return "\n".join(lines)
+
+
+def _shares(entries: dict[str, Result]) -> list[float]:
+    """Of the tasks that were built."""
+    return [part for part in (share(entries, what) for what in TASKS) if part is not None]
+
+
+def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
+    """What was asked, and what was reached: (what, asked, got)."""
+    rows: list[tuple[str, str, str]] = []
+    for what in BRICKS:
+        both = entries.get(f"bricks/{what}/{BOTH}")
+        if both is None:
+            continue
+        part = share(entries, what)
+        got = f"{both['status']} ({both['reason']})"
+        if part is not None:
+            got = f"{both['blocks']} bricks: {both['robot_s']:.1f} s over {both['in_turn_s']:.1f} "
+            got += f"s one after the other, {part:.2f}, "
+            got += f"{1e3 * both['least_distance']:.1f} mm apart at least"
+        rows.append((what, "complete, >= 10 mm apart", got))
+    if found := _shares(entries):
+        got = f"{np.mean(found):.2f} mean of {len(found)}"
+        rows.append(("APEX-MR, at once over one after the other", f"<= {ASKED} mean", got))
+    return rows
