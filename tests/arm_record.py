@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from learn2assemble.assembly.blocks import Assembly, box_block
+from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.blocks import AssemblyStep as Placed
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.motion.record import RATE, BuildRecord, Stage
 from learn2assemble.motion.recorder import BuildRecorder, StepMotion, upright
 from learn2assemble.planning import plan as plans

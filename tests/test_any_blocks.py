@@ -16,7 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import learn2assemble as l2a
-from learn2assemble.assembly.blocks import Assembly, Block, box_block, hull_block
+from learn2assemble.assembly.blocks import Assembly, Block, hull_block
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.instruction_words import facts
 from learn2assemble.assembly.instructions import instructions
 from learn2assemble.cell.arrange import Structure

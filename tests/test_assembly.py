@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
+from learn2assemble.assembly.boxes import Box, box_block, box_blocks
 from learn2assemble.assembly.compas import from_compas, to_compas, write_compas
 from learn2assemble.assembly.contacts import (
     GROUND,
@@ -617,3 +618,41 @@ def test_far_too_many_blocks_are_refused_before_they_are_read(
     monkeypatch.setattr("learn2assemble.assembly.files.load_json", None)
     with pytest.raises(InputError, match="got 100000, expected 1 to 10000 blocks"):
         read_assembly(file)
+
+
+def test_boxes_by_the_thousand_are_as_one_by_one() -> None:
+    rng = np.random.default_rng(0)
+    low = rng.normal(size=(50, 3))
+    high = low + rng.uniform(0.01, 2.0, (50, 3))
+    given = [Box(f"b{k}", "kind", 100.0 + k, (1, 2, k)) for k in range(50)]
+    for block, box, lower, upper in zip(
+        box_blocks(given, low, high), given, low, high, strict=True
+    ):
+        one = box_block(box.id, lower, upper, kind=box.kind, density=box.density, colour=box.colour)
+        assert (block.id, block.kind, block.faces) == (one.id, one.kind, one.faces)
+        assert (block.density, block.colour, block.support) == (one.density, one.colour, False)
+        assert np.array_equal(block.vertices, one.vertices)
+        assert block.volume == pytest.approx(one.volume)
+        assert block.centroid == pytest.approx(one.centroid)
+        assert block.extent == pytest.approx(one.extent)
+        assert replace(block, id="other").volume == pytest.approx(one.volume)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"high": 0.0}, "lower < upper"),
+        ({"high": np.nan}, "lower < upper"),
+        ({"high": 1e9}, "at most 1e6"),
+        ({"high": 1e-12}, "more than 0"),
+        ({"density": -1.0}, "density"),
+        ({"id": ""}, "1 to 200"),
+    ],
+)
+def test_a_wrong_box_among_others_is_named(wrong: dict[str, Any], said: str) -> None:
+    low, high = np.zeros((3, 3)), np.ones((3, 3))
+    high[1, 2] = wrong.get("high", 1.0)
+    boxes = [Box(f"b{k}", "", 1000.0) for k in range(3)]
+    boxes[1] = boxes[1]._replace(**{k: v for k, v in wrong.items() if k != "high"})
+    with pytest.raises(InputError, match=said):
+        box_blocks(boxes, low, high)

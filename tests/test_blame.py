@@ -15,7 +15,8 @@ import pytest
 import learn2assemble as l2a
 from headless import SPATIAL, browse, find_browser
 from learn2assemble.assembly.appearance import PALETTE
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep, box_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.compas import from_compas, to_compas
 from learn2assemble.assembly.files import from_json, to_json
 from learn2assemble.assembly.instructions import instructions

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from brick_data import bricks
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block, hull_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, hull_block
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.files import from_json, to_json
 from learn2assemble.assembly.hands import Hand
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.balls import ball
+from learn2assemble.geometry.circles import ball
 from learn2assemble.geometry.rotations import rotation_of
 from learn2assemble.planning.clearance import FreeWays
 from learn2assemble.planning.crew import alike

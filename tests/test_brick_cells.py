@@ -19,7 +19,9 @@ from learn2assemble.export.formats import export_assembly
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.bearing import NO_WAY, least_ways
-from learn2assemble.planning.tiling.bricks import _Tiler, slabs_of
+from learn2assemble.planning.tiling.bricks import _Tiler
+from learn2assemble.planning.tiling.linked import Layer, NoCover, linked_cover
+from learn2assemble.planning.tiling.slabs import slabs_of
 from learn2assemble.statics.holding import Balance
 from test_brick_order import replay
 
@@ -301,3 +303,66 @@ def test_a_ball_of_many_bricks_is_taken_apart_layer_by_layer() -> None:
         if step.action == "place":
             assert tops[step.block] > highest - 3.5 * 9.6e-3
             highest = max(highest, tops[step.block])
+
+
+def test_a_tree_that_chance_does_not_join_is_joined() -> None:
+    """Single layers that reach out: few covers link all of their bricks."""
+    wanted = np.zeros((14, 14, 7), bool)
+    wanted[6:8, 6:8] = wanted[4:9, 6:8, 2] = wanted[6:8, 8:12, 2] = True
+    wanted[6:8, 2:8, 3] = wanted[5:11, 6:8, 3] = wanted[5:8, 5:10, 3] = True
+    wanted[6:11, 6:8, 4:6] = wanted[4:9, 6:9, 6] = True
+    plan = l2a.build(wanted, kit="lego", hands=True)
+    assert plan.complete
+    assert (filled(plan, wanted.shape) == wanted).all()
+    # A corner that no brick of two studs reaches from what is over or under something.
+    wanted[2:9, 6:10, 6] = True
+    plan = l2a.build(wanted, kit="lego", hands=True)
+    assert plan.status == "refused"
+    assert "whichever way one fills them" in (plan.reason or "")
+
+
+def covers(layer: Layer) -> list[list[tuple[int, int, int, int]]]:
+    """All covers of a layer by linked bricks, each with one across every cut, by trying out."""
+    found = []
+
+    def go(left: np.ndarray, some: list[tuple[int, int, int, int]]) -> None:
+        if not left.any():
+            good = True
+            for cut in layer.cuts:
+                inside = [cut[i : i + a, j : j + b] for i, j, a, b in some]
+                good &= any(part.any() and not part.all() for part in inside)
+            if good:
+                found.append(some)
+            return
+        i, j = np.argwhere(left)[0].tolist()
+        for a, b in layer.sizes.tolist():
+            here = np.s_[i : i + a, j : j + b]
+            if left[here].shape == (a, b) and left[here].all() and layer.linked[here].any():
+                rest = left.copy()
+                rest[here] = False
+                go(rest, [*some, (i, j, a, b)])
+
+    go(layer.cells, [])
+    return found
+
+
+def test_linked_covers_are_those_that_trying_out_finds() -> None:
+    """Random layers of 4 x 4 cells with random cuts."""
+    sizes = np.array([(1, 1), (1, 2), (2, 1), (2, 2), (1, 3), (3, 1)])
+    none = 0
+    for seed in range(120):
+        rng = np.random.default_rng(seed)
+        cells = rng.random((4, 4)) < 0.7
+        cuts = (rng.random((int(rng.integers(3)), 4, 4)) < 0.4) & cells
+        layer = Layer(cells, rng.random((4, 4)) < 0.4, sizes, cuts)
+        all_ = covers(layer)
+        try:
+            (made,) = linked_cover([layer], 60.0) or [None]
+        except NoCover:
+            assert not all_
+            none += 1
+            continue
+        assert made is not None
+        assert len(made) == min(map(len, all_))
+        assert sorted(made) in [sorted(some) for some in all_]
+    assert 20 < none < 100

@@ -12,7 +12,8 @@ import pytest
 import brick_data
 import learn2assemble as l2a
 from brick_data import bricks
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep, box_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.bricks.lattice import GROUND, StudLattice
 from learn2assemble.assembly.files import read_assembly, write_assembly
 from learn2assemble.assembly.instructions import instructions

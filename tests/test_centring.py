@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import learn2assemble as l2a
-from learn2assemble.assembly.blocks import Assembly, Block, box_block
+from learn2assemble.assembly.blocks import Assembly, Block
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.contacts import Contacts, find_contacts
 from learn2assemble.assembly.cuts import POST
 from learn2assemble.planning.centring import find_centring

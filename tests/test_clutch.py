@@ -12,7 +12,8 @@ import scipy.sparse as sp
 
 import brick_data
 from brick_data import LEGO, PUBLISHED, bricks, random_bricks
-from learn2assemble.assembly.blocks import Assembly, box_block
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.bricks.lattice import GROUND, StudLattice, grip
 from learn2assemble.assembly.joints import Joint, JointOf
 from learn2assemble.constants import GRAVITY

@@ -14,7 +14,8 @@ import pytest
 import learn2assemble as l2a
 from headless import SPATIAL, pixels, shoot
 from l2a_lab import shapes
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep, box_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.compas import write_compas
 from learn2assemble.assembly.kit import Kind, Kit, load_kit
 from learn2assemble.cli import main

@@ -18,7 +18,8 @@ import pytest
 import trimesh
 
 from l2a_lab import creep, shapes
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep, box_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.files import read_assembly
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import InputError, UnknownNameError

@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 
 import learn2assemble as l2a
 from l2a_lab import goals as figures
-from learn2assemble.assembly.blocks import box_block
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.cli import main
 from learn2assemble.design.goals import Goals, parse_goals, read_goals
 from learn2assemble.errors import InputError

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 from headless import SPATIAL, find_browser, pixels, shoot
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.compas import from_compas, to_compas
 from learn2assemble.assembly.cuts import cut_of
 from learn2assemble.assembly.files import read_assembly

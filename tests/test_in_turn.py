@@ -11,7 +11,8 @@ import pytest
 
 import learn2assemble as l2a
 from l2a_lab.arm_distances import WatchedCell
-from learn2assemble.assembly.blocks import Assembly, box_block
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.cell import in_turn
 from learn2assemble.cell.crew import LIP_ROOM, ArmCrew, Member
 from learn2assemble.cell.in_turn import boxes_of, build_in_turn

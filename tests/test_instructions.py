@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.instructions import MOST_TOGETHER, instructions
 from learn2assemble.export.cards import step_cards
 from learn2assemble.export.pdf import pdf

@@ -16,10 +16,11 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 import refusals
-from learn2assemble.assembly.blocks import Assembly, box_block
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.kit import load_kit
-from learn2assemble.geometry.reach import inner_circle
+from learn2assemble.geometry.circles import inner_circle
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.planning.tiling.ordering import to_assembly
 from learn2assemble.statics.rigid_blocks import bed_patches, margin

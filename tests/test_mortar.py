@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import learn2assemble as l2a
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.files import from_json, read_assembly, to_json
 from learn2assemble.assembly.joints import DRY, Joint
 from learn2assemble.assembly.kit import Kit, load_kit

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from learn2assemble.assembly.blocks import Assembly, Block, box_block, hull_block
+from learn2assemble.assembly.blocks import Assembly, Block, hull_block
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.contacts import across
 from learn2assemble.assembly.files import from_json
 from learn2assemble.assembly.point_contacts import middle_of

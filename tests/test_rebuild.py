@@ -10,7 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep, box_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.instructions import instructions
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cli import main

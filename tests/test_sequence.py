@@ -11,7 +11,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block, hull_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, hull_block
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.cuts import POST
 from learn2assemble.assembly.kit import load_kit

@@ -17,7 +17,7 @@ import pytest
 import learn2assemble as l2a
 from learn2assemble.assembly.contacts import check_overlaps, find_contacts
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.polygons import area_vector
+from learn2assemble.geometry.hulls import area_vector
 from learn2assemble.planning.clearance import FreeWays, overlap, parts_of
 from learn2assemble.planning.posts import find_posts
 from learn2assemble.statics.rigid_blocks import FALLS, STANDS

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 import learn2assemble as l2a
-from learn2assemble.assembly.blocks import Assembly, box_block
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.hands import Hand
 from learn2assemble.cell.crew import APART, ArmCrew
 from learn2assemble.cell.pieces import pieces_of

@@ -17,7 +17,8 @@ import pytest
 from l2a_lab.arm_distances import WatchedCell
 from l2a_lab.shapes import wall
 from l2a_lab.stopped_arm import Pressed, StoppedCell, drawn
-from learn2assemble.assembly.blocks import Assembly, box_block
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell import together
 from learn2assemble.cell.carry_out import carry_out, prepare, setup_of

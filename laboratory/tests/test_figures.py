@@ -21,7 +21,8 @@ from l2a_lab.measured import measure
 from l2a_lab.meshes import MESHES, mesh_table
 from l2a_lab.states import count_states, every, largest_moves, opened, states_of, upright
 from l2a_lab.two_arms import EIGHT, holds_told, stops_told, table
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep, box_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.carry_out import Workcell, prepare
 from learn2assemble.cell.report import deepest_overlap

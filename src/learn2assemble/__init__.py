@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 from learn2assemble.registry import add_plugin
 
 if TYPE_CHECKING:
-    from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block, hull_block
+    from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, hull_block
+    from learn2assemble.assembly.boxes import box_block
     from learn2assemble.assembly.files import read_assembly, write_assembly
     from learn2assemble.assembly.hands import Hand
     from learn2assemble.assembly.kit import Kind, Kit, load_kit
@@ -50,7 +51,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
-    "assembly.blocks": "Assembly AssemblyStep Block box_block hull_block",
+    "assembly.blocks": "Assembly AssemblyStep Block hull_block",
+    "assembly.boxes": "box_block",
     "assembly.hands": "Hand",
     "assembly.files": "read_assembly write_assembly",
     "assembly.kit": "Kind Kit load_kit",

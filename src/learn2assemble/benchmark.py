@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, Block, box_block
+from learn2assemble.assembly.blocks import Assembly, Block
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.constants import EDGE, HALF

@@ -7,7 +7,8 @@ from itertools import count
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, Block, box_block, hull_block
+from learn2assemble.assembly.blocks import Assembly, Block, hull_block
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.errors import InputError
 from learn2assemble.planning.clearance import LEVEL, Clearance, ways_out

@@ -13,7 +13,7 @@ import numpy as np
 
 from l2a_lab.creep import largest_move
 from learn2assemble.assembly.blocks import Assembly, Block
-from learn2assemble.geometry.polygons import area_vector
+from learn2assemble.geometry.hulls import area_vector
 from learn2assemble.statics.rigid_blocks import SIDE
 
 GAP = 1e-4

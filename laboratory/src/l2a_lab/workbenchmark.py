@@ -26,7 +26,8 @@ import numpy as np
 
 from l2a_lab.measured import Figures, Result
 from l2a_lab.sensing import FINE, calibration, camera, off_cameras
-from learn2assemble.assembly.blocks import Assembly, box_block
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.belief import step_between
 from learn2assemble.cell.carry_out import Workcell, carry_out

@@ -15,14 +15,8 @@ from uuid import NAMESPACE_URL, uuid5
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import (
-    Assembly,
-    AssemblyStep,
-    Block,
-    box_block,
-    check_count,
-    outward,
-)
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, check_count, outward
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.values import DIGITS, any_colour, compact, coordinates
 from learn2assemble.errors import InputError
 from learn2assemble.files import write_file

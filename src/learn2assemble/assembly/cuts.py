@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learn2assemble.geometry.polygons import area_vector
+from learn2assemble.geometry.hulls import area_vector
 
 POST = "post"
 """Kind of the blocks that are cut to what they carry."""

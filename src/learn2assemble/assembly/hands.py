@@ -16,7 +16,7 @@ from typing import Annotated
 import numpy as np
 
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.balls import ball
+from learn2assemble.geometry.circles import ball
 from learn2assemble.values import Range
 
 Number = Annotated[float, Range(-1e9, 1e9)]

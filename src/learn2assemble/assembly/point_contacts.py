@@ -18,7 +18,7 @@ from shapely.geometry.base import BaseGeometry
 
 from learn2assemble.assembly.blocks import Block
 from learn2assemble.assembly.parts import convex_parts
-from learn2assemble.geometry.polygons import area_vector
+from learn2assemble.geometry.hulls import area_vector
 
 LOOSE = 2.0
 """Widest gap and deepest overlap of such a contact, in those of two faces: poses that were measured

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learn2assemble.geometry.polygons import area_vector
+from learn2assemble.geometry.hulls import area_vector
 
 MAX_HOLES, WIDEST = 1000, 0.25
 """Most holes that are closed, and the widest, as a share of the largest side of the mesh."""

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import gymnasium
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, box_block
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.constants import GRAVITY
 from learn2assemble.envs import hidden
 from learn2assemble.envs.hidden import MOST, STEP, HiddenActions, HiddenEnv

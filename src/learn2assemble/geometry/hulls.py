@@ -12,8 +12,6 @@ from functools import cached_property
 
 import numpy as np
 
-from learn2assemble.geometry.polygons import area_vector
-
 ONE_PLANE = 1e-7
 """How far a point of a hull may be from a plane to lie in it, in extents of the hull."""
 _RIGHT = 1e-6
@@ -314,3 +312,13 @@ def cross_rows(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """float64[n, 3]: cross products of rows float64[n, 3]; quicker than numpy's for few of them."""
     (x, y, z), (u, v, w) = a.T, b.T
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], 1)
+
+
+def area_vector(corners: np.ndarray) -> np.ndarray:
+    """float64[3]: along the normal of a ring of corners, float64[n, 3], towards where it is
+    counter-clockwise from, and twice as long as its area is large."""
+    # From the middle: far from the origin rounding is larger than small faces.
+    arm = corners - corners.mean(0)
+    x, y, z = arm.T
+    u, v, w = np.concatenate([arm[1:], arm[:1]]).T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], 1).sum(0)

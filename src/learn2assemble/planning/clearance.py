@@ -14,7 +14,7 @@ from numba import njit
 from learn2assemble.assembly.blocks import Block
 from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.assembly.parts import convex_parts
-from learn2assemble.geometry.polygons import area_vector
+from learn2assemble.geometry.hulls import area_vector
 
 _STEPS = 4
 """Positions looked at for every least extent of a block on its way."""

@@ -18,7 +18,7 @@ from learn2assemble.assembly.blocks import Block
 from learn2assemble.assembly.contacts import GROUND, Contacts
 from learn2assemble.assembly.cuts import POST
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.polygons import area_vector
+from learn2assemble.geometry.hulls import area_vector
 from learn2assemble.planning.clearance import Parts, overlap, parts_of
 
 DENSITY = 600.0

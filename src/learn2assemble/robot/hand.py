@@ -1,7 +1,7 @@
 """What the hand of an arm can give a block that it holds in its place.
 
 Three limits bound it, all linear in the wrench on the block or made so from inside
-(:mod:`~learn2assemble.geometry.balls`): the tool (a cup comes off, slips or tilts, see
+(:mod:`~learn2assemble.geometry.circles`): the tool (a cup comes off, slips or tilts, see
 :mod:`.tool`; fingers slip, and pads turn), the payload of the arm, and the torques of its joints
 at that pose, of which its own weight takes its part. A plan counts on :data:`SHARE` of it.
 """
@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from learn2assemble.constants import GRAVITY
-from learn2assemble.geometry.balls import ball
+from learn2assemble.geometry.circles import ball
 from learn2assemble.robot.arm import Arm, arm_model
 from learn2assemble.robot.moves import Move
 from learn2assemble.robot.tool import Cup, Gripper

@@ -21,8 +21,8 @@ from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.hands import Hand
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import Learn2AssembleError
+from learn2assemble.geometry.circles import inner_circle
 from learn2assemble.geometry.hulls import cross_rows
-from learn2assemble.geometry.reach import inner_circle
 from learn2assemble.statics.hands import NO_HANDS, HeldBlock, held_blocks, held_meanwhile
 from learn2assemble.statics.holding_forces import Columns, Forces, forces_of, joined
 from learn2assemble.statics.holding_solver import (

@@ -27,7 +27,7 @@ from learn2assemble.assembly.contacts import (
 )
 from learn2assemble.assembly.hands import Hand
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.reach import inner_circle
+from learn2assemble.geometry.circles import inner_circle
 from learn2assemble.statics.block_forces import MOST_G, Equilibrium, System
 from learn2assemble.statics.hands import NO_HANDS
 from learn2assemble.statics.holding_check import (

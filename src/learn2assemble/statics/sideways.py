@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from learn2assemble.geometry.reach import inner_circle
+from learn2assemble.geometry.circles import inner_circle
 from learn2assemble.linear_programs import Clock
 from learn2assemble.statics.step_proof import Proof, Stack
 

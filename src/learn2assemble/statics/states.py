@@ -20,7 +20,7 @@ from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.assembly.hands import Hand
 from learn2assemble.constants import GRAVITY
-from learn2assemble.geometry.reach import inner_circle
+from learn2assemble.geometry.circles import inner_circle
 from learn2assemble.statics.block_factors import elimination_ranks, ranks_of
 from learn2assemble.statics.block_forces import (
     BALANCED,

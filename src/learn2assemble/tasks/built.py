@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import mujoco
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.constants import EDGE, FRICTION, HALF, MASS
 from learn2assemble.design.drawings import SIDES
 from learn2assemble.geometry.rotations import quaternion_matrix

@@ -10,14 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import (
-    MAX_BLOCKS,
-    Assembly,
-    AssemblyStep,
-    Block,
-    Box,
-    box_blocks,
-)
+from learn2assemble.assembly.blocks import MAX_BLOCKS, Assembly, AssemblyStep, Block
+from learn2assemble.assembly.boxes import Box, box_blocks
 from learn2assemble.assembly.kit import Kind, Kit
 from learn2assemble.errors import InputError
 

@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.ndimage import binary_erosion
 from scipy.sparse.csgraph import connected_components
 
 from learn2assemble.assembly.blocks import Assembly
@@ -38,6 +37,8 @@ from learn2assemble.planning.tiling.bearing import (
     least_ways,
     ways_of,
 )
+from learn2assemble.planning.tiling.linked import Layer, NoCover, linked_cover
+from learn2assemble.planning.tiling.slabs import inside, slabs_of
 from learn2assemble.statics.holding_check import JointAnswer, stands_by_joints
 
 _CHANCES = 0.5, 8.0
@@ -48,6 +49,8 @@ _FAR, _AGAIN = 6.0, 60
 them."""
 _TRIES, _REPAIRS = 4000, 60
 """Layers covered anew at most: for one piece, and for one that stands."""
+_CUTS, _LAYERS = 100, 0.1
+"""Programs at most for layers in which nothing is loose, and of the time left for one."""
 _SHARE = 0.4
 """Of the time, for one that stands."""
 
@@ -81,10 +84,17 @@ def plan_brick_cells(
     started = time.perf_counter()
     wanted = np.array(design.wanted)
     if shell is not None:
-        wanted &= ~_inside(wanted, shell, brick_layers(kit) if kit.plates else 1)
+        wanted &= ~inside(wanted, shell, brick_layers(kit) if kit.plates else 1)
     tiler = _Tiler(wanted, kit, np.random.default_rng(seed))
     tiler.fill(clock)
     tiler.join(clock)
+    never = False
+    if tiler.loose():
+        try:
+            tiler.attach(clock)
+            tiler.join(clock)
+        except NoCover:
+            never = True
     pieces = tiler.pieces()
     progress(f"{len(tiler.bricks)} bricks in {'one piece' if pieces == 1 else f'{pieces} pieces'}")
     assembly, found = _standing(tiler, design, kit, clock)
@@ -95,10 +105,14 @@ def plan_brick_cells(
         more = plan_bricks(assembly, hands, clock, progress, found)
         plan = more if more.complete else plan
     if loose := tiler.loose():
+        why = (
+            "no bricks of this kit link their cells to others, whichever way one fills them"
+            if never
+            else "their cells have too few others right over or under them"
+        )
         lost = (
-            f"{loose} of the bricks hang together with nothing that stands: their cells have too "
-            "few others right over or under them; another width of the cells, or thicker walls, "
-            "may help"
+            f"{loose} of the bricks hang together with nothing that stands: {why}; another width "
+            "of the cells, or thicker walls, may help"
         )
         plan = replace(plan, reason=f"{plan.reason}; {lost}")
     x, y, z = design.wanted.shape
@@ -157,16 +171,6 @@ def _standing(
     return best, found
 
 
-class Slab(NamedTuple):
-    """Cells that bricks of one height fill, from one level."""
-
-    low: int
-    high: int
-    """Their lowest level, and that above the highest."""
-    cells: np.ndarray
-    """bool[X, Y]."""
-
-
 class _Placed(NamedTuple):
     """A brick: cells from its smallest corner, and extents along x and y."""
 
@@ -176,79 +180,6 @@ class _Placed(NamedTuple):
     b: int
     slab: int
     """Index of its slab."""
-
-
-def slabs_of(wanted: np.ndarray, layers: int) -> list[Slab]:
-    """Every cell in one slab, ``layers`` levels high where that many are filled, else one; from
-    below.
-
-    Bricks are in layers that go through the whole design, so that they bond; of the levels at which
-    these may begin the one is taken that leaves the fewest parts of columns, then the fewest slabs.
-    Plates fill what is left of a column below and above. A column that is high enough for a brick
-    but meets no such layer has a brick where it begins, so nowhere are as many plates in one column
-    as make a brick.
-
-    Args:
-        wanted: bool[X, Y, Z].
-        layers: height of a brick [cells]; 1: all slabs are of one level.
-    """
-    return _slabs(_cut(wanted, layers, _first_layer(wanted, layers)))
-
-
-def _first_layer(wanted: np.ndarray, layers: int) -> int:
-    """The level at which layers of bricks begin, see :func:`slabs_of`."""
-
-    def worth(first: int) -> tuple[int, int]:
-        slabs = _slabs(_cut(wanted, layers, first))
-        return sum(int(slab.cells.sum()) for slab in slabs), len(slabs)
-
-    return min(range(layers), key=worth)
-
-
-def _inside(wanted: np.ndarray, thick: int, layers: int) -> np.ndarray:
-    """bool[X, Y, Z]: cells that are more than ``thick`` cells, up and down so many bricks, from
-    outside, in layers as high as bricks: nobody sees finer steps there, and plates would hang."""
-    around = 2 * thick + 1
-    deep = binary_erosion(wanted, np.ones((around, around, 2 * thick * layers + 1), bool))
-    found = np.zeros_like(wanted)
-    for low in range(_first_layer(wanted, layers), wanted.shape[2] - layers + 1, layers):
-        found[:, :, low : low + layers] = deep[:, :, low : low + layers].all(2, keepdims=True)
-    return found
-
-
-def _slabs(heights: np.ndarray) -> list[Slab]:
-    """The slabs of a cut, from below, the highest first."""
-    found = []
-    for low in range(heights.shape[2]):
-        for height in np.unique(heights[:, :, low])[::-1].tolist():
-            if height:
-                found.append(Slab(low, low + height, heights[:, :, low] == height))
-    return found
-
-
-def _cut(wanted: np.ndarray, layers: int, first: int) -> np.ndarray:
-    """int64[X, Y, Z]: height of the part of a column that begins at a cell, 0 where none does.
-
-    Args:
-        first: level at which a layer of bricks begins; others follow above.
-    """
-    depth = wanted.shape[2]
-    found = wanted.astype(np.int64)
-    free = wanted.copy()
-
-    def fill(low: int) -> None:
-        where = np.logical_and.reduce(free[:, :, low : low + layers], axis=2)
-        found[:, :, low : low + layers][where] = [layers] + [0] * (layers - 1)
-        free[:, :, low : low + layers][where] = False
-
-    if layers == 1:
-        return found
-    for low in range(first, depth - layers + 1, layers):
-        fill(low)
-    # Columns that meet no layer of bricks; what bricks leave of others is lower than one.
-    for low in range(depth - layers + 1):
-        fill(low)
-    return found
 
 
 class _Tiler:
@@ -414,9 +345,7 @@ class _Tiler:
             if count == 1 or clock.left < limit:
                 return
             loose = [b for b, piece in label.items() if piece != largest]
-            if all(self._grounded(label, piece) for piece in set(label.values())) and (
-                self.rng.random() < 0.01
-            ):
+            if not self._loose() and self.rng.random() < 0.01:
                 return
             kept = self.saved()
             self.again([loose[int(self.rng.integers(len(loose)))]])
@@ -426,11 +355,50 @@ class _Tiler:
             else:
                 self.restore(kept)
 
+    def attach(self, clock: Clock) -> None:
+        """Cover slabs with bricks in loose pieces so that these are linked to others.
+
+        Raises:
+            NoCover: where no bricks do.
+        """
+        cuts: list[np.ndarray] = []
+        slabs: set[int] = set()
+        for _ in range(_CUTS):
+            loose = self._loose()
+            if not loose or clock.left <= 0:
+                return
+            cuts += [np.isin(self.owner, piece) for piece in loose]
+            slabs |= {self.bricks[b].slab for piece in loose for b in piece}
+            numbers = sorted(slabs)
+            layers = [self._layer(number, cuts) for number in numbers]
+            found = linked_cover(layers, _LAYERS * clock.left)
+            if found is None:
+                return
+            for number, some in zip(numbers, found, strict=True):
+                self._take([b for b, one in self.bricks.items() if one.slab == number], number)
+                for one in some:
+                    self._lay(self._next, _Placed(*one, number))
+                    self._next += 1
+
+    def _layer(self, number: int, cuts: list[np.ndarray]) -> Layer:
+        low, high, cells = self.slabs[number]
+        linked = np.full(cells.shape, low == 0)
+        for level in {low - 1, high} & set(range(self.wanted.shape[2])):
+            linked |= self.wanted[:, :, level]
+        mine = np.array([cut[:, :, low] & cells for cut in cuts])
+        return Layer(cells, linked, self.sizes[self.layers * (high - low)], mine)
+
     def loose(self) -> int:
         """How many bricks are in pieces that do not stand on the ground."""
+        return sum(map(len, self._loose()))
+
+    def _loose(self) -> list[list[int]]:
+        """The bricks of each of these pieces."""
         _, label, _ = self.labels()
-        standing = {piece for piece in set(label.values()) if self._grounded(label, piece)}
-        return sum(piece not in standing for piece in label.values())
+        pieces: dict[int, list[int]] = {}
+        for b, piece in label.items():
+            pieces.setdefault(piece, []).append(b)
+        return [some for some in pieces.values() if not self._grounded(some)]
 
     def saved(self) -> tuple[dict[int, _Placed], np.ndarray, np.ndarray]:
         """What :meth:`restore` brings back."""
@@ -440,10 +408,8 @@ class _Tiler:
         """Be as when that was saved."""
         self.bricks, self.owner, self._ways = saved
 
-    def _grounded(self, label: dict[int, int], piece: int) -> bool:
-        return any(
-            self.slabs[self.bricks[b].slab].low == 0 for b, one in label.items() if one == piece
-        )
+    def _grounded(self, bricks: list[int]) -> bool:
+        return any(self.slabs[self.bricks[b].slab].low == 0 for b in bricks)
 
     def assembly(self, design: CellDesign, kit: Kit) -> Assembly:
         """The bricks where they stand."""

@@ -30,7 +30,7 @@ import numpy as np
 
 from learn2assemble.constants import EDGE, FRICTION, HALF
 from learn2assemble.errors import InputError, Learn2AssembleError
-from learn2assemble.geometry.reach import inner_circle
+from learn2assemble.geometry.circles import inner_circle
 from learn2assemble.tasks.physics.support import (
     CONTACT_TOLERANCE,
     OVERLAP_TOLERANCE,
