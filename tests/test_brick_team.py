@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,12 +24,13 @@ from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import set_up_team
 from learn2assemble.cell.telling import assume, forget
-from learn2assemble.cell.together import Together
+from learn2assemble.cell.together import Together, build_together
 from learn2assemble.cell.traffic import Leg, Route, Traffic
 from learn2assemble.cell.workcell import StepOf, Workcell
 from learn2assemble.cell.world import WorkcellBlocks
 from learn2assemble.errors import InputError
-from learn2assemble.motion.plant import Motion
+from learn2assemble.motion.plant import Motion, PlantError, Report, Stop
+from learn2assemble.motion.setup import Setup
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
@@ -291,3 +294,38 @@ def test_what_two_arms_cannot_join_is_one_line(
         l2a.build(replace(STAIR, joint=joint), arm=("panda", "panda"), **options)  # pyright: ignore
     assert words in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_a_build_of_which_an_arm_was_stopped_while_it_pressed_goes_on(
+    stair: Ordered, tmp_path: Path
+) -> None:
+    """The other arm presses on nothing then; when the build goes on, what was home is home."""
+    plan, order, members = stair
+    workcell = Workcell("panda", "gripper", hands=True, log=tmp_path / "build.jsonl")
+    cells: list[WatchedCell] = []
+    pressed: list[float] = []
+
+    def opened(setup: Setup) -> WatchedCell:
+        cells.append(cell := WatchedCell(setup))
+        for who, plant in enumerate(cell.plants):
+            plant.execute = told(cell, who, plant.execute)  # pyright: ignore
+        return cell
+
+    def told(cell: WatchedCell, who: int, execute: Any) -> Any:
+        def executed(motion: Motion, commands: Any = (), guards: Any = ()) -> Report:
+            report = execute(motion, commands, guards)
+            if any(guard.bears for guard in guards) and cell.home and len(cells) == 1:
+                assert not pressed, f"arm {who} presses though the other one was stopped"
+                pressed.append(cell.time)
+                raise PlantError(Stop.PROTECTIVE, "somebody has pressed the button")
+            return report
+
+        return executed
+
+    stopped = build_together(plan, members, workcell, joint=0.0, order=order, opened=opened)
+    assert stopped.status == "incomplete"
+    assert "pressed the button" in (stopped.reason or "")
+    done = build_together(plan, members, workcell, joint=0.0, order=order, opened=opened)
+    assert done.complete, done.reason
+    assert cells[1].home == {(-1, 0), (0, 1), (1, 2), (2, 3)}
+    assert min(cell.least().distance for cell in cells) >= 0.010
