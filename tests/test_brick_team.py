@@ -327,5 +327,9 @@ def test_a_build_of_which_an_arm_was_stopped_while_it_pressed_goes_on(
     assert "pressed the button" in (stopped.reason or "")
     done = build_together(plan, members, workcell, joint=0.0, order=order, opened=opened)
     assert done.complete, done.reason
+    # What is built beside, and brought by one arm, is no step of the other one.
+    worked = [arm.did for arm in done.arms if arm.did is not None and arm.did.attempts]
+    assert worked
+    assert all((one.attempts_per_step or 0.0) >= 1.0 for one in worked)
     assert cells[1].home == {(-1, 0), (0, 1), (1, 2), (2, 3)}
     assert min(cell.least().distance for cell in cells) >= 0.010

@@ -81,7 +81,7 @@ def arm_report(
     satisfied = sum(
         building.known.satisfied(step)
         for step in building.known.order
-        if step not in building.known.by_hand and step not in others
+        if step not in building.known.by_hand and step.plain not in others
     )
     measured = measure(building, plant, {step.block for step in others})
     return ArmReport(
