@@ -120,6 +120,10 @@ def test_near_bricks_come_as_the_order_has_them() -> None:
     first, second = sorted((0, 1), key=lambda k: [step.block for step in order].index(k))
     waits = steps_before(job, BrickStructure(job), ())
     assert waits == {StepOf(second): {StepOf(first)}}
+    # One part is built beside after the other, however far from each other they are.
+    parts = StepOf(0, beside=(0.5, 0.0, 0.0)), StepOf(2, beside=(-0.5, 0.0, 0.0)), StepOf(1)
+    apart = steps_before(replace(job, steps=parts), BrickStructure(job), ())
+    assert apart == {parts[1]: {parts[0]}}
 
 
 # ---------------------------------------------------------------- who may press

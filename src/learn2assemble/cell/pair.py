@@ -240,7 +240,8 @@ def steps_before(job: Job, structure: Structure, steps: Sequence[StepOf]) -> Wai
 
 def _as_found(job: Job) -> Waits:
     """By step, the earlier ones that are near: where bricks are held by fingers between others,
-    and how far what stands bears a press, hangs on what is there already."""
+    and how far what stands bears a press, hangs on what is there already. Of what is built beside
+    one part comes after the other, as their places on the table may be the same."""
     world = WorkcellBlocks(job)
     put_beside(world, job.steps)
     bounds = list[tuple[np.ndarray, np.ndarray]]()
@@ -254,9 +255,14 @@ def _as_found(job: Job) -> Waits:
         for one, (under, over) in zip(job.steps[:n], bounds[:n], strict=True):
             gap = np.maximum(low[:, None] - over[None], under[None] - high[:, None])[..., :2].max(2)
             rise = np.minimum(BESIDE * (high[:, None, 2] - over[None, :, 2]), HAND)
-            if (gap < np.maximum(rise, FINGERS)).any():
+            if (gap < np.maximum(rise, FINGERS)).any() or (_apart(step) and _apart(one)):
                 found.setdefault(step, set()).add(one)
     return found
+
+
+def _apart(step: StepOf) -> bool:
+    """Whether a step is of a part that is built beside."""
+    return step.beside is not None or bool(step.group)
 
 
 def lower_beside(job: Job) -> dict[int, set[int]]:
