@@ -408,6 +408,13 @@ def test_the_table_of_two_arms_is_that_of_the_file() -> None:
     assert holds_told(TWO_ARMS) in own
 
 
+def test_the_table_of_bricks_is_that_of_the_file() -> None:
+    text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    own = text.split("## Two arms and bricks\n")[1].split("\n## ")[0]
+    rows = [line for line in own.splitlines() if line.startswith("|")]
+    assert rows == two_arms_bricks.table(TWO_ARMS).splitlines()
+
+
 def test_the_eight_have_as_many_blocks_as_is_said() -> None:
     told = {name: one for name, one in TWO_ARMS.items() if name.startswith("eight/")}
     assert told
