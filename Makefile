@@ -40,8 +40,8 @@ lint: $(STAMP)
 docs: $(STAMP)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
-# A process for every core; a process that is done takes over tests of the others.
-PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
+# A process for every core, each with one thread; one that is done takes over tests of the others.
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
 # Types take one core for a minute and the documents the other.
 test: $(STAMP)

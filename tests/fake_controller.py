@@ -1,23 +1,26 @@
 """What fake controllers have in common: the arm and the blocks behind them are the dynamic cell of
-the simulation, told cycle by cycle. They run in a process of their own, keep the time of a robot,
-and are told over a socket of their own what shall go wrong.
+the simulation, told cycle by cycle. They run in a process of their own, and are told over a socket
+of their own how long to go on and what shall go wrong: their time stands while nobody waits for it.
 
-``python fake_controller.py KIND HOST RATE`` begins one and prints where it listens; tests use
+``python fake_controller.py KIND HOST`` begins one and prints where it listens; tests use
 :class:`FakeProcess`.
 """
 
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
 import math
 import pickle
+import select
 import socket
 import subprocess
 import sys
 import threading
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -33,14 +36,19 @@ from learn2assemble.motion.plant import (
     ToolCommand,
     ToolReading,
 )
-from learn2assemble.motion.setup import Setup
+from learn2assemble.motion.setup import Clock, Setup
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.simulation.plant import DynamicPlant
 
 CYCLE = 0.008
 """Of the control loop [s of the robot]."""
-AT_ONCE = 10
-"""Cycles at most between two moments at which others are heard."""
+PERIOD = {"ur": 0.04, "ros2": 0.024}
+"""Between two looks of who waits, at least [s of the robot]: behind ROS it is we who look at
+forces, so we have to be quick."""
+AGAIN = 0.05
+"""Between two times that the state is told while time stands [s of this machine]."""
+HEARD = 5.0
+"""Longest wait until the other side has heard what it was told [s of this machine]."""
 STANDS = 1e-3
 """An arm whose joints are slower stands [rad/s]."""
 CALM = 0.1
@@ -54,13 +62,10 @@ class FakeController(ABC):
 
     Args:
         host: address of this machine.
-        rate: seconds of the robot in one second, at most: a machine that cannot keep up makes the
-            robot slow.
     """
 
-    def __init__(self, host: str, rate: float) -> None:
-        self.host, self.rate = host, rate
-        self.cut_until = 0.0
+    def __init__(self, host: str) -> None:
+        self.host = host
         self.ports: dict[str, int] = {}
         self.lock = threading.RLock()
         self.worked = 0.0
@@ -70,6 +75,7 @@ class FakeController(ABC):
     def begin(self, setup: Setup) -> None:
         """A cell as its setup has it; the arm stands, and nothing goes wrong."""
         self.protective, self.refused, self.slow, self.jump = False, 0, 1.0, 0.0
+        self.cut_until = self._owed = 0.0
         self._armed: list[tuple[float, str, dict[str, Any]]] = []
         self._plan: list[tuple[float, str, dict[str, Any]]] = []
         self.setup, self.arm = setup, setup.arm
@@ -108,9 +114,17 @@ class FakeController(ABC):
     def end(self) -> None:
         """A protective stop ends what the arm was about to do."""
 
-    def behind(self) -> bool:
-        """Whether somebody who listens has not heard yet what was told."""
-        return False
+    @abstractmethod
+    def busy(self) -> bool:
+        """Whether it carries something out, though the arm may stand."""
+
+    @abstractmethod
+    def open(self) -> list[socket.socket]:
+        """Connections."""
+
+    @abstractmethod
+    def heard(self) -> bool:
+        """Whether anybody is told the state."""
 
     # ------------------------------------------------------------ the robot
 
@@ -141,24 +155,41 @@ class FakeController(ABC):
         ).tolist()
 
     def loop(self) -> None:
-        """Keep time: cycles as the clock of this machine asks for, and the state 200 times a
-        second."""
-        last, owed = time.perf_counter(), 0.0
+        """Say again how things are, also while time stands."""
         while True:
-            now = time.perf_counter()
-            owed = min(owed + (now - last) * self.rate, AT_ONCE * CYCLE)
-            last = now
+            time.sleep(AGAIN)
             with self.lock:
-                begun = time.thread_time()
-                while owed >= CYCLE and not self.behind():
-                    owed -= CYCLE * self.slow
-                    self._happen()
-                    if not self.protective:
-                        self.cycle()
-                    self._step()
-                self.worked += time.thread_time() - begun
                 self.publish()
-            time.sleep(0.005)
+
+    def go(self, seconds: float) -> dict[str, Any]:
+        """Let time pass, once all that was sent before has been heard.
+
+        Args:
+            seconds: of the robot; what is no whole cycle is left for the next time.
+
+        Returns:
+            Its time, the time that its states have, and whether anybody is told them.
+        """
+        until = time.perf_counter() + HEARD
+        while time.perf_counter() < until:
+            with contextlib.suppress(OSError, ValueError):  # One may be closed just now.
+                with self.lock:
+                    sockets = self.open()
+                if not select.select(sockets, [], [], 0)[0]:
+                    break
+            time.sleep(1e-4)
+        with self.lock:
+            begun = time.thread_time()
+            self._owed += seconds
+            while self._owed >= CYCLE:
+                self._owed -= CYCLE * self.slow
+                self._happen()
+                if not self.protective:
+                    self.cycle()
+                self._step()
+            self.worked += time.thread_time() - begun
+            self.publish()
+            return {"time": self.time, "stamp": self.time + self.jump, "heard": self.heard()}
 
     def _step(self) -> None:
         """A cycle of the cell."""
@@ -200,6 +231,8 @@ class FakeController(ABC):
     def tell(self, said: dict[str, Any]) -> dict[str, Any]:
         """One line of the socket for tests."""
         op = said["op"]
+        if op == "go":
+            return self.go(said["seconds"])
         with self.lock:
             if op == "cell":
                 self.end()
@@ -222,7 +255,7 @@ class FakeController(ABC):
             elif op == "clock":
                 self.jump += said["by"]
             elif op == "cut":
-                self.cut_until = time.perf_counter() + said.get("seconds", 0.0)
+                self.cut_until = self.time + said.get("seconds", 0.0)
                 self.cut()
             elif op == "later":
                 what = {key: said[key] for key in said if key not in ("op", "what", "after")}
@@ -233,7 +266,7 @@ class FakeController(ABC):
             return {
                 "time": self.time,
                 "joints": joints.tolist(),
-                "moves": bool(self.speed.any() or np.abs(velocity).max() > STANDS),
+                "moves": bool(self.busy() or self.speed.any() or np.abs(velocity).max() > STANDS),
                 "share": self.most_share,
                 "held": self.plant.held(),
                 "odd": self.odd,
@@ -279,12 +312,14 @@ class FakeProcess:
     Args:
         kind: ``ur`` or ``ros2``.
         host: address of this machine.
-        rate: seconds of the robot in one second.
     """
 
-    def __init__(self, kind: str, host: str = "127.0.0.1", rate: float = 1.0) -> None:
-        command = [sys.executable, __file__, kind, host, str(rate)]
-        self.host = host
+    def __init__(self, kind: str, host: str = "127.0.0.1") -> None:
+        command = [sys.executable, __file__, kind, host]
+        self.host, self.kind = host, kind
+        self.time = 0.0
+        self.clock = Clock(lambda: self.time, self.wait)
+        """Of the robot: who waits by it lets it go on."""
         self.process = subprocess.Popen(
             command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parent
         )
@@ -303,9 +338,31 @@ class FakeProcess:
         self.lines.flush()
         return json.loads(self.lines.readline())
 
+    def go(self, seconds: float) -> dict[str, Any]:
+        """Let its time pass [s]; what was sent before is on its way."""
+        if self.kind == "ros2":
+            from twisted.internet import reactor, threads
+
+            if reactor.running:  # It sends when its turn comes.
+                threads.blockingCallFromThread(reactor, int)
+        said = self.ask("go", seconds=seconds)
+        self.time = said["time"]
+        return said
+
+    def wait(self, seconds: float, came: Callable[[], float]) -> None:
+        """Let its time pass, until what it says then has come."""
+        said = self.go(max(seconds, PERIOD[self.kind]))
+        if not said["heard"]:
+            time.sleep(AGAIN / 10)  # Who was cut off has to notice.
+            return
+        until = time.perf_counter() + HEARD
+        while abs(came() - said["stamp"]) > CYCLE / 10 and time.perf_counter() < until:
+            time.sleep(1e-4)
+
     def cell(self, setup: Setup) -> None:
         """Put it into another cell."""
-        self.ask("cell", setup=base64.b64encode(pickle.dumps(setup)).decode())
+        said = self.ask("cell", setup=base64.b64encode(pickle.dumps(setup)).decode())
+        self.time = said["time"]
 
     def look(self) -> tuple[BlockReading, ...]:
         """What cameras over it see now."""
@@ -322,15 +379,15 @@ class FakeProcess:
 
 
 def main() -> None:
-    kind, host, rate = sys.argv[1:4]
+    kind, host = sys.argv[1:3]
     if kind == "ur":
         from fake_ur import FakeUr
 
-        FakeUr(host, float(rate)).serve()
+        FakeUr(host).serve()
     else:
         from fake_rosbridge import FakeRosbridge
 
-        FakeRosbridge(host, float(rate)).serve()
+        FakeRosbridge(host).serve()
 
 
 if __name__ == "__main__":

@@ -7,10 +7,10 @@ import base64
 import contextlib
 import hashlib
 import json
+import math
 import socket
 import struct
 import threading
-import time
 from typing import Any
 
 import numpy as np
@@ -20,28 +20,21 @@ from learn2assemble.motion.driver import driver_of
 from learn2assemble.motion.plant import Motion
 from learn2assemble.robot.arm import get_arm
 
-TEXT, CLOSE, PING, PONG = 1, 8, 9, 10
+TEXT, CLOSE = 1, 8
 """Kinds of frames."""
-AHEAD = 3
-"""Cycles that may pass until those who listen have heard of the one before them."""
-PERIOD = 0.004
-"""Between two states [s of this machine]."""
 _GUID = "258EAFA5-E914-47DA-95CA-C5AB0DC85B11"
 
 
 class FakeRosbridge(FakeController):
     """See the module."""
 
-    def __init__(self, host: str, rate: float) -> None:
+    def __init__(self, host: str) -> None:
         self.names = list(driver_of(get_arm("ur5e", "suction")).joints)
         self.goal: dict[str, Any] | None = None
         self.points: list[tuple[float, np.ndarray, np.ndarray]] = []
         self.since = 0.0
         self._open: dict[socket.socket, set[str]] = {}
-        self._last = 0.0
-        self._cycles = self._known = 0
-        """How many there were, and how many of them those who listen have heard of."""
-        super().__init__(host, rate)
+        super().__init__(host)
         listener = socket.create_server((host, 0))
         self.ports["bridge"] = listener.getsockname()[1]
         threading.Thread(target=self._accept, args=(listener,), daemon=True).start()
@@ -50,7 +43,6 @@ class FakeRosbridge(FakeController):
 
     def cycle(self) -> None:
         """One step along the trajectory."""
-        self._cycles += 1
         if not self.points:
             return
         self.since += CYCLE
@@ -65,10 +57,17 @@ class FakeRosbridge(FakeController):
         there, velocity = path.at(np.array([self.since]))
         self.drive(there[0], velocity[0])
 
-    def behind(self) -> bool:
-        """Whoever looks after the guards of a motion from elsewhere has to keep up with it, however
-        busy this machine is."""
-        return bool(self._open) and self._cycles - self._known >= AHEAD
+    def busy(self) -> bool:
+        """See the base."""
+        return bool(self.points)
+
+    def open(self) -> list[socket.socket]:
+        """See the base."""
+        return list(self._open)
+
+    def heard(self) -> bool:
+        """See the base."""
+        return any("/joint_states" in topics for topics in self._open.values())
 
     def _end(self, status: int, code: int, words: str = "") -> None:
         goal, self.goal, self.points = self.goal, None, []
@@ -112,16 +111,18 @@ class FakeRosbridge(FakeController):
     # ------------------------------------------------------------ topics
 
     def publish(self) -> None:
-        """The state, 125 times a second at most, to everybody who listens, and a ping, which comes
-        back when they have heard it."""
-        now = time.perf_counter()
-        if not self._open or now - self._last < PERIOD:
+        """The state, to everybody who listens; the joints come last, as their time says that all of
+        it has come."""
+        if not self._open:
             return
-        self._last = now
         joints, velocity = self.plant.measured()
         at = self.time + self.jump
-        stamp = {"sec": int(at), "nanosec": int(at % 1 * 1e9)}
+        stamp = {"sec": math.floor(at), "nanosec": int(at % 1 * 1e9)}
         said = {
+            "/tool/wrench": {"wrench": {"force": dict(zip("xyz", self.force(), strict=True))}},
+            "/suction/held": {"data": bool(self.tool.vacuum)},
+            "/robot/stopped": {"data": self.protective},
+            "/robot_description": {"data": f'<?xml version="1.0"?><robot name="{self.arm.name}">'},
             "/joint_states": {
                 "header": {"stamp": stamp, "frame_id": ""},
                 "name": self.names,
@@ -129,20 +130,17 @@ class FakeRosbridge(FakeController):
                 "velocity": velocity.tolist(),
                 "effort": [],
             },
-            "/tool/wrench": {"wrench": {"force": dict(zip("xyz", self.force(), strict=True))}},
-            "/suction/held": {"data": bool(self.tool.vacuum)},
-            "/robot/stopped": {"data": self.protective},
-            "/robot_description": {"data": f'<?xml version="1.0"?><robot name="{self.arm.name}">'},
         }
         for connection, topics in list(self._open.items()):
-            for topic in topics & said.keys():
-                self._tell(connection, {"op": "publish", "topic": topic, "msg": said[topic]})
-            self._send(connection, PING, b"%d" % self._cycles)
+            for topic in said:
+                if topic in topics:
+                    self._tell(connection, {"op": "publish", "topic": topic, "msg": said[topic]})
 
     def _heard(self, connection: socket.socket, said: dict[str, Any]) -> None:
         op = said["op"]
         if op == "subscribe":
             self._open[connection].add(said["topic"])
+            self.publish()
         elif op == "send_action_goal":
             self._take(connection, said)
         elif op == "publish" and said["topic"] == "/suction/vacuum":
@@ -155,7 +153,7 @@ class FakeRosbridge(FakeController):
     def _accept(self, listener: socket.socket) -> None:
         while True:
             connection, _ = listener.accept()
-            if time.perf_counter() < self.cut_until:
+            if self.time < self.cut_until:
                 connection.close()
                 continue
             threading.Thread(target=self._serve, args=(connection,), daemon=True).start()
@@ -182,8 +180,6 @@ class FakeRosbridge(FakeController):
                 last, code, content = _frame(connection)
                 if code == CLOSE:
                     break
-                if code == PONG:
-                    self._known = max(self._known, int(content))
                 text += content if code in (0, 1) else b""
                 if last and code in (0, 1):
                     with self.lock:

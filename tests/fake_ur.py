@@ -8,7 +8,6 @@ import socket
 import struct
 import sys
 import threading
-import time
 from collections.abc import Callable, Generator
 from typing import Any
 
@@ -27,14 +26,14 @@ class FakeUr(FakeController):
     """See the module. The vacuum is output 0 of the tool connector, and input 0 says that it is
     made."""
 
-    def __init__(self, host: str, rate: float) -> None:
-        super().__init__(host, rate)
+    def __init__(self, host: str) -> None:
+        super().__init__(host)
         self.program: Generator[None, None, None] | None = None
         self.outputs: dict[int, int] = {}
         self.inputs: dict[int, int] = {}
         self.scripts = 0
-        self._subscribers: list[tuple[socket.socket, int, list[str], float, float]] = []
-        self._open: list[socket.socket] = []
+        self._subscribers: list[tuple[socket.socket, list[str]]] = []
+        self._open = list[socket.socket]()
         for name, port, serve in (
             ("rtde", RTDE_PORT, self._rtde),
             ("script", 0, self._script),
@@ -58,6 +57,18 @@ class FakeUr(FakeController):
     def end(self) -> None:
         """The program is over."""
         self.program = None
+
+    def busy(self) -> bool:
+        """See the base."""
+        return self.program is not None
+
+    def open(self) -> list[socket.socket]:
+        """See the base."""
+        return list(self._open)
+
+    def heard(self) -> bool:
+        """See the base."""
+        return bool(self._subscribers)
 
     def servoj(
         self, q: list[float], t: float = 0.002, lookahead_time: float = 0.1, gain: int = 300
@@ -131,7 +142,7 @@ class FakeUr(FakeController):
     def _accept(self, listener: socket.socket, serve: Callable[[socket.socket], None]) -> None:
         while True:
             connection, _ = listener.accept()
-            if time.perf_counter() < self.cut_until:
+            if self.time < self.cut_until:
                 connection.close()
                 continue
             self._open.append(connection)
@@ -140,6 +151,9 @@ class FakeUr(FakeController):
     def _served(self, connection: socket.socket, serve: Callable[[socket.socket], None]) -> None:
         with contextlib.suppress(OSError, struct.error):
             serve(connection)
+        with self.lock:
+            self._subscribers = [one for one in self._subscribers if one[0] is not connection]
+            self._open = [one for one in self._open if one is not connection]
         connection.close()
 
     def cut(self) -> None:
@@ -184,7 +198,7 @@ class FakeUr(FakeController):
     def _rtde(self, connection: socket.socket) -> None:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         recipes: list[list[str]] = []
-        wanted: tuple[list[str], float] = ([], 125.0)
+        wanted: list[str] = []
 
         def answer(kind: int, content: bytes) -> None:
             with self.lock:  # Nothing may come between its parts.
@@ -198,10 +212,9 @@ class FakeUr(FakeController):
             elif kind == ord("v"):
                 answer(kind, struct.pack("!4I", 5, 12, 0, 0))
             elif kind == ord("O"):
-                names = [name for name in content[8:].decode().split(",") if name]
-                wanted = names, struct.unpack("!d", content[:8])[0]
+                wanted = [name for name in content[8:].decode().split(",") if name]
                 with self.lock:
-                    kinds = [self._value(name)[0] for name in names]
+                    kinds = [self._value(name)[0] for name in wanted]
                 answer(kind, bytes([1]) + ",".join(kinds).encode())
             elif kind == ord("I"):
                 names = [name for name in content.decode().split(",") if name]
@@ -211,7 +224,8 @@ class FakeUr(FakeController):
             elif kind == ord("S"):
                 answer(kind, b"\1")
                 with self.lock:
-                    self._subscribers.append((connection, 1, wanted[0], 1 / wanted[1], 0.0))
+                    self._subscribers.append((connection, wanted))
+                    self.publish()
             elif kind == ord("P"):
                 answer(kind, b"\1")
             elif kind == ord("U"):
@@ -244,12 +258,8 @@ class FakeUr(FakeController):
 
     def publish(self) -> None:
         """A data package to everybody who wants one."""
-        now = time.perf_counter()
-        for k, (connection, recipe, names, period, last) in enumerate(self._subscribers):
-            if now - last < period:
-                continue
-            self._subscribers[k] = connection, recipe, names, period, now
-            content = bytes([recipe])
+        for connection, names in self._subscribers:
+            content = bytes([1])
             for name in names:
                 kind, value = self._value(name)
                 if kind == "VECTOR6D":

@@ -89,34 +89,35 @@ def test_edges_against_polygons(drawn: bool, number: int, seed: int) -> None:
         assert found.edge_used[0, side].tolist() == [
             k < count for k in range(found.edge_used.shape[2])
         ]
-        for c, world in enumerate(placements.cells[0].astype(float)):
-            x, y, z = in_frame(simulator.frames[side], world)
-            face = shapely.box(x - HALF, z - HALF, x + HALF, z + HALF)
-            for k in range(count):
-                a, b = corners[k], corners[(k + 1) % count]
-                out = found.edges[0, c, side, k].astype(float)
-                inward = out[:2]
-                assert np.linalg.norm(inward) == pytest.approx(1, abs=1e-5)
-                assert inward @ (b - a) == pytest.approx(0, abs=1e-6)
-                assert polygon.contains(shapely.Point((a + b) / 2 + 1e-6 * inward))
-                inner, outer = half_plane(a, b, inward), half_plane(a, b, -inward)
-                centre = shapely.Point(x, z)
-                inside = (centre.distance(outer) - centre.distance(inner)) / EDGE
-                assert out[2] == pytest.approx(np.clip(inside, -4, 4) / 2, abs=1e-4)
-                # How deep the face reaches into the inner side; negative: how far it is away.
-                deepest = max(shapely.Point(p).distance(outer) for p in face.exterior.coords)
-                margin = (deepest - face.distance(inner)) / EDGE
-                assert out[3] == pytest.approx(np.clip(margin, -1, 1), abs=1e-4)
-                assert out[4] == pytest.approx(np.clip(8 * margin, -1, 1), abs=1e-3)
-                if convex and margin < -1e-4:
-                    assert not face.intersects(polygon)
-                for column, point in ((5, a), (7, b)):
-                    offset = np.clip((point - [x, z]) / EDGE, -6, 6) / 2
-                    np.testing.assert_allclose(out[column : column + 2], offset, atol=1e-4)
-                assert out[9] == pytest.approx(np.clip(-y / EDGE, -2, 2), abs=1e-4)
-                assert out[10] == (abs(y) < EDGE / 4)
-                assert out[11] == (count == 5 and k in (1, 2))
-                assert out[12] == pytest.approx(z / EDGE / 4, abs=1e-4)
+        x, y, z = in_frame(simulator.frames[side], placements.cells[0].astype(float)).T
+        faces = shapely.box(x - HALF, z - HALF, x + HALF, z + HALF)
+        ends = shapely.points(shapely.get_coordinates(faces).reshape(len(faces), -1, 2))
+        centres = shapely.points(x, z)
+        for k in range(count):
+            a, b = corners[k], corners[(k + 1) % count]
+            out = found.edges[0, : len(faces), side, k].astype(float)
+            ways, number_of = np.unique(out[:, :2], axis=0, return_inverse=True)
+            assert np.linalg.norm(ways, axis=1) == pytest.approx(1, abs=1e-5)
+            assert ways @ (b - a) == pytest.approx(0, abs=1e-6)
+            assert all(polygon.contains(shapely.Point((a + b) / 2 + 1e-6 * way)) for way in ways)
+            inner = np.array([half_plane(a, b, way) for way in ways])[number_of]
+            outer = np.array([half_plane(a, b, -way) for way in ways])[number_of]
+            inside = (shapely.distance(centres, outer) - shapely.distance(centres, inner)) / EDGE
+            assert out[:, 2] == pytest.approx(np.clip(inside, -4, 4) / 2, abs=1e-4)
+            # How deep the face reaches into the inner side; negative: how far it is away.
+            deepest = shapely.distance(ends, outer[:, None]).max(1)
+            margin = (deepest - shapely.distance(faces, inner)) / EDGE
+            assert out[:, 3] == pytest.approx(np.clip(margin, -1, 1), abs=1e-4)
+            assert out[:, 4] == pytest.approx(np.clip(8 * margin, -1, 1), abs=1e-3)
+            if convex:
+                assert not shapely.intersects(faces[margin < -1e-4], polygon).any()
+            for column, point in ((5, a), (7, b)):
+                offset = np.clip((point - np.stack([x, z], 1)) / EDGE, -6, 6) / 2
+                np.testing.assert_allclose(out[:, column : column + 2], offset, atol=1e-4)
+            assert out[:, 9] == pytest.approx(np.clip(-y / EDGE, -2, 2), abs=1e-4)
+            assert out[:, 10].tolist() == (np.abs(y) < EDGE / 4).tolist()
+            assert (out[:, 11] == (count == 5 and k in (1, 2))).all()
+            assert out[:, 12] == pytest.approx(z / EDGE / 4, abs=1e-4)
     assert found.area[0] == pytest.approx(area, rel=1e-4)
 
 

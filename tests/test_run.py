@@ -28,12 +28,8 @@ from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.reports import ArmReport
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.robot.arm import get_arm
-from test_controllers import SAME, Fake, Fakes, under_the_cup
+from test_controllers import NEEDS, PATIENT, SAME, Fake, Fakes, under_the_cup
 
-RATES = {"ur": 20.0, "ros2": 3.0}
-"""Of the robot's clock to ours: behind ROS it is we who look at forces, so we have to be quick."""
-PATIENT = 30.0
-"""How long the other side may be silent on a busy machine, where nothing is asked of that [s]."""
 NOISE = Noise(4e-4, 2e-3)
 """Of the cameras, where there are some."""
 EDGE = 0.032
@@ -68,7 +64,7 @@ class Cell:
 
     def __init__(self, fake: Fake, plan: Plan, job: Job) -> None:
         self.fake, self.plan, self.job, self.kind = fake, plan, job, fake.kind
-        self.rate, self.ask = fake.rate, fake.ask
+        self.ask = fake.ask
         self.fake.process.cell(setup_of(job, Workcell("ur5e", "suction", noise=NOISE)))
 
     def serve(self, request: Request) -> None:
@@ -90,9 +86,10 @@ class Cell:
             serve=self.serve,
             look=self.fake.process.look if eyes else None,
             trust_placements=not eyes,
-            patience=3.0 * self.rate,
+            patience=3.0,
             silence=PATIENT,
             answer=answer,
+            clock=self.fake.clock,
         )
         address = f"{self.kind}://{self.fake.process.host}:{port}"
         return run(self.plan, address, **{"around": around, **given})
@@ -109,19 +106,19 @@ class Cell:
 
 @pytest.fixture(scope="module")
 def fakes() -> Iterator[Fakes]:
-    made = Fakes(RATES)
+    made = Fakes()
     yield made
     made.close()
 
 
-@pytest.fixture(params=RATES)
+@pytest.fixture(params=NEEDS)
 def fake(request: pytest.FixtureRequest, fakes: Fakes) -> Fake:
     return fakes.of(request.param)
 
 
 @pytest.fixture
 def cell(fake: Fake) -> Cell:
-    return Cell(fake, *wall(6, 3, 2 if fake.kind == "ur" else 1))
+    return Cell(fake, *wall(6, 3, 1))
 
 
 def test_a_build_behind_a_controller(cell: Cell) -> None:
@@ -290,7 +287,7 @@ def test_a_full_hand_is_emptied_first_or_nothing_moves(cell: Cell) -> None:
     cell.fake.process.cell(under_the_cup(cell.job.arm))
     port = cell.fake.process.ports["script" if cell.kind == "ur" else "bridge"]
     address = f"{cell.kind}://{cell.fake.process.host}:{port}"
-    around = Surroundings(patience=60.0, silence=PATIENT, answer=PATIENT)
+    around = Surroundings(patience=3.0, silence=PATIENT, answer=PATIENT, clock=cell.fake.clock)
     plant = open_plant(address, Setup(cell.job.arm, {}, {}, around=around))
     told = [ToolCommand(vacuum=True)]
     assert plant.execute(standing("pick", cell.job.arm.home, 2.0), told).stop is Stop.END
@@ -305,7 +302,9 @@ def test_a_full_hand_is_emptied_first_or_nothing_moves(cell: Cell) -> None:
 
 
 def test_without_eyes_nothing_is_moved(cell: Cell) -> None:
-    around = Surroundings(serve=cell.serve, patience=60.0, silence=PATIENT, answer=PATIENT)
+    around = Surroundings(
+        serve=cell.serve, patience=3.0, silence=PATIENT, answer=PATIENT, clock=cell.fake.clock
+    )
     ran = cell.run(around=around)
     assert not ran.complete
     assert ran.blocks == 0
@@ -317,7 +316,12 @@ def test_an_eye_that_sees_what_is_not_there_ends_the_run(cell: Cell) -> None:
         return [BlockReading("unicorn", np.array([0.0, 0, 0, 1, 0, 0, 0]), np.zeros((6, 6)), 0.0)]
 
     around = Surroundings(
-        serve=cell.serve, look=look, patience=60.0, silence=PATIENT, answer=PATIENT
+        serve=cell.serve,
+        look=look,
+        patience=3.0,
+        silence=PATIENT,
+        answer=PATIENT,
+        clock=cell.fake.clock,
     )
     ran = cell.run(around=around)
     assert ran.stop is Stop.REFUSED
@@ -386,9 +390,10 @@ def test_the_command(
     told = Surroundings(
         serve=cell.serve,
         trust_placements=True,
-        patience=3.0 * cell.rate,
+        patience=3.0,
         silence=PATIENT,
         answer=PATIENT,
+        clock=cell.fake.clock,
     )
     monkeypatch.setattr("learn2assemble.motion.setup.Surroundings", lambda **given: told)
     call = ["run", str(tmp_path), "--robot", address, "--trust-placements", "--json"]
@@ -411,7 +416,7 @@ def main_of_figures(kinds: list[str]) -> None:
     import time
 
     for kind in kinds or ["ur", "ros2"]:
-        fake = Fake(kind, RATES[kind])
+        fake = Fake(kind)
         cell, begun = Cell(fake, *wall(20, 3, 16, True)), time.process_time()
         with tempfile.TemporaryDirectory() as folder:
             cuts = cut_ten_times(cell, Path(folder) / "run.jsonl", 120.0)

@@ -117,7 +117,7 @@ class ControllerClock:
     """Whether the clock of a controller goes on as that of this machine does.
 
     Args:
-        silence: longest time without a new state [s of this machine].
+        silence: longest time without a new state [s of the clock it is waited for by].
     """
 
     def __init__(self, silence: float) -> None:
@@ -131,7 +131,7 @@ class ControllerClock:
 
         Args:
             now: of the controller [s].
-            wall: of this machine [s].
+            wall: of the clock it is waited for by [s].
         """
         before, waited = self.last, wall - self._wall
         self.last = now
@@ -146,7 +146,7 @@ class ControllerClock:
         return ""
 
     def rate(self) -> float | None:
-        """States a second that were seen [1/s of this machine]."""
+        """States a second that were seen [1/s of the clock it is waited for by]."""
         span = self._wall - self._began
         return round(self._states / span, 1) if self._states > 1 and span > 0 else None
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
@@ -33,7 +32,7 @@ from learn2assemble.motion.plant import (
     ToolCommand,
     ToolReading,
 )
-from learn2assemble.motion.setup import Setup, Surroundings
+from learn2assemble.motion.setup import Clock, Setup, Surroundings
 
 if TYPE_CHECKING:
     from learn2assemble.motion.settings import ProgramSettings
@@ -84,6 +83,7 @@ class Controller(ABC):
         self.around: Surroundings = setup.around
         self.settings: ProgramSettings = self.around.program
         self.driver: Driver = driver_of(setup.arm)
+        self.clock: Clock = self.around.clock
         self._clock = ControllerClock(self.around.silence)
         self._base = quaternion_matrix(self.driver.base[3:])
         self._last: ControllerState | None = None
@@ -103,6 +103,14 @@ class Controller(ABC):
     @abstractmethod
     def stop(self) -> None:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
+
+    @abstractmethod
+    def _came(self) -> float:
+        """Of when the last state is that has come [s of the controller]."""
+
+    def _wait(self, seconds: float = POLL) -> None:
+        """Let time pass."""
+        self.clock.wait(seconds, self._came)
 
     def _now(self) -> ControllerState:
         """What the controller says now.
@@ -125,10 +133,10 @@ class Controller(ABC):
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         look = self.around.look
         blocks = () if look is None else tuple(look())
-        now, until = self._now(), time.monotonic() + self.around.silence
+        now, until = self._now(), self.clock.now() + self.around.silence
         # What was just seen may be newer than the last state that has come.
-        while any(one.time > now.time for one in blocks) and time.monotonic() < until:
-            time.sleep(POLL)
+        while any(one.time > now.time for one in blocks) and self.clock.now() < until:
+            self._wait()
             now = self._now()
         state = "stopped" if now.stopped else "moving" if now.moving else "ready"
         return Readings(now.time, now.joints, now.velocity, blocks, now.tool, self.arm.name, state)
@@ -246,4 +254,4 @@ class WatchingController(Controller):
                 found = Stop.LATE, f"not there after {past:.1f} s"
             if found is not None:
                 return found[0], found[1], past
-            time.sleep(POLL)
+            self._wait()

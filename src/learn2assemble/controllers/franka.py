@@ -68,6 +68,9 @@ class FrankaPlant(WatchingController):
         q, v = np.array(state.q, float).ravel(), np.array(state.dq, float).ravel()
         return ControllerState(float(state.time.to_sec()), q, v, self._tool(state), mode)
 
+    def _came(self) -> float:
+        return float(self._state().time.to_sec())
+
     def _state(self) -> Any:
         try:
             return self._robot.state

@@ -11,7 +11,6 @@ import contextlib
 import logging
 import re
 import threading
-import time
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, cast
@@ -76,9 +75,9 @@ class RosPlant(WatchingController):
         self._lib: Any = roslibpy
         self._said: dict[str, Any] = {}
         self._known = False
-        self._came = threading.Condition()
+        self._hears = threading.Condition()
         self._goal: Any = ""
-        self._result = _Result()
+        self._result = _Result(0.0)
         # What goes wrong is told in one line, by us; whoever listens to logs hears it as before.
         logging.getLogger("twisted").addHandler(logging.NullHandler())
         self._ros: Any = self._lib.Ros(self.place.host, self.place.port, transport="twisted")
@@ -102,9 +101,9 @@ class RosPlant(WatchingController):
         self._known = True
 
     def _hear(self, name: str, said: dict[str, Any]) -> None:
-        with self._came:
+        with self._hears:
             self._said[name] = said
-            self._came.notify_all()
+            self._hears.notify_all()
 
     def _check(self) -> None:
         """Whether this is the robot of the plan.
@@ -112,14 +111,14 @@ class RosPlant(WatchingController):
         Raises:
             PlantError: where it is not, or says nothing.
         """
-        with self._came:
-            known = self._came.wait_for(lambda: "/joint_states" in self._said, CONNECT)
+        with self._hears:
+            known = self._hears.wait_for(lambda: "/joint_states" in self._said, CONNECT)
             # Who has these says them at once; an arm must not begin with a full hand.
             others = {
                 "/robot_description",
                 "/suction/held" if self.arm.suction else "/gripper/width",
             }
-            self._came.wait_for(lambda: others <= self._said.keys(), WAIT)
+            self._hears.wait_for(lambda: others <= self._said.keys(), WAIT)
         if not known:
             self.close()
             raise lost(f"no /joint_states within {CONNECT:g} s")
@@ -140,6 +139,9 @@ class RosPlant(WatchingController):
         now, joints, velocity = self._joints()
         stopped = "the robot is stopped" if self._stopped() else ""
         return ControllerState(now, joints, velocity, self._tool(), stopped)
+
+    def _came(self) -> float:
+        return self._joints()[0]
 
     def _joints(self) -> tuple[float, np.ndarray, np.ndarray]:
         """Time [s], positions and velocities of the joints in the order of the arm."""
@@ -173,7 +175,7 @@ class RosPlant(WatchingController):
             now = self._joints()[0]
         except (KeyError, ValueError, IndexError, TypeError) as error:
             return f"/joint_states without {error}"
-        return self._clock.odd(now, time.monotonic())
+        return self._clock.odd(now, self.clock.now())
 
     # ------------------------------------------------------------ what is carried out
 
@@ -181,7 +183,7 @@ class RosPlant(WatchingController):
         result = self._result
         if result.came.is_set():
             return result.stop()
-        if not result.begun.is_set() and time.monotonic() - result.sent > self.around.answer:
+        if not result.begun.is_set() and self._came() - result.sent > self.around.answer:
             if np.abs(self._joints()[2]).max() <= STANDS:
                 return Stop.REFUSED, "the controller did not begin with the motion"
             result.begun.set()
@@ -198,7 +200,7 @@ class RosPlant(WatchingController):
             for t, q, v in zip(motion.time[1:], motion.joints[1:], motion.velocity[1:], strict=True)
         ]
         goal = {"trajectory": {"joint_names": list(self.driver.joints), "points": points}}
-        result = self._result = _Result()
+        result = self._result = _Result(self._came())
         self._goal = self._action.send_goal(
             self._lib.Goal(goal), result.take, result.begin, result.take
         )
@@ -233,12 +235,12 @@ class RosPlant(WatchingController):
         rest = np.zeros_like(q)
         brake = Motion("", np.array([0.0, seconds]), np.stack([q, there]), np.stack([v, rest]))
         self._go(brake)
-        until, still = time.monotonic() + CONNECT, 0
-        while time.monotonic() < until and self._ros.is_connected:
+        until, still = self.clock.now() + CONNECT, 0
+        while self.clock.now() < until and self._ros.is_connected:
             still = still + 1 if np.abs(self._joints()[2]).max() <= STANDS else 0
             if still > 3 or self._stopped():
                 return
-            time.sleep(2 * POLL)
+            self._wait(2 * POLL)
         if self._ros.is_connected:
             raise PlantError(Stop.LATE, "the arm does not stop")
 
@@ -253,10 +255,14 @@ class RosPlant(WatchingController):
 
 
 class _Result:
-    """What comes of a goal."""
+    """What comes of a goal.
 
-    def __init__(self) -> None:
-        self.begun, self.came, self.sent = threading.Event(), threading.Event(), time.monotonic()
+    Args:
+        sent: when it was sent [s of the controller].
+    """
+
+    def __init__(self, sent: float) -> None:
+        self.begun, self.came, self.sent = threading.Event(), threading.Event(), sent
         self.said: dict[str, Any] = {}
 
     def begin(self, _: Any) -> None:

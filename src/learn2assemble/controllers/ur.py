@@ -12,7 +12,6 @@ import contextlib
 import os
 import socket
 import struct
-import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -28,7 +27,6 @@ from learn2assemble.controllers.common import (
 from learn2assemble.controllers.controller import (
     CONNECT,
     LATE,
-    POLL,
     SLACK,
     STANDS,
     Controller,
@@ -61,8 +59,8 @@ STATE, SCRIPTS, DASHBOARD = 30004, 30002, 29999
 RATE = 125.0
 """States per second."""
 ENDED = 0.1
-"""So long a program may seem to have ended without saying what came of it [s]: what is read of the
-state may be of two instants."""
+"""So long a program may seem to have ended without saying what came of it [s of the controller]:
+what is read of the state may be of two instants."""
 RUNNING = 7
 """Mode of a robot that may move."""
 VARIABLES = (
@@ -143,6 +141,9 @@ class UrPlant(Controller):
             self._state.getRuntimeState() == _PLAYING,
         )
 
+    def _came(self) -> float:
+        return self._state.getTimestamp()
+
     def _tool(self) -> ToolReading:
         vacuum = None if self.arm.suction is None else self._held()
         return ToolReading(vacuum=vacuum, force=self._force(self._state.getActualTCPForce()[:3]))
@@ -171,7 +172,7 @@ class UrPlant(Controller):
         """What is wrong with the connection, in words; empty where nothing is."""
         if not self._state.isConnected():
             return "the controller closed the connection"
-        return self._clock.odd(self._state.getTimestamp(), time.monotonic())
+        return self._clock.odd(self._state.getTimestamp(), self.clock.now())
 
     # ------------------------------------------------------------ what is carried out
 
@@ -200,14 +201,14 @@ class UrPlant(Controller):
 
     def _watched(self, script: str, motion: Motion) -> Report:
         """Send a program, and wait for what comes of it."""
-        state, sent, begun, ended = self._state, time.monotonic(), -1.0, -1.0
+        state, begun, ended = self._state, -1.0, -1.0
         first = state.getTimestamp()
         try:
             with self._connection(self.place.port) as scripts:
                 scripts.sendall(script.encode("ascii"))
                 while True:
                     self._beat.beat()
-                    wall, why = time.monotonic(), self._silence()
+                    why = self._silence()
                     if why:
                         where = Stop.LOST
                         break
@@ -222,19 +223,19 @@ class UrPlant(Controller):
                         why = _WORDS.get(where, "")
                         break
                     begun = now if begun < 0 and ours else begun
-                    if begun < 0 and wall - sent > self.around.answer:
+                    if begun < 0 and now - first > self.around.answer:
                         where, why = Stop.REFUSED, "the controller did not begin with the program"
                         break
                     runs = ours and state.getRuntimeState() == _PLAYING
-                    ended = -1.0 if runs or begun < 0 else wall if ended < 0 else ended
-                    if ended > 0 and wall - ended > ENDED:
+                    ended = -1.0 if runs or begun < 0 else now if ended < 0 else ended
+                    if ended > 0 and now - ended > ENDED:
                         where, why = Stop.REFUSED, "the program was ended by somebody else"
                         break
                     late = LATE * motion.seconds + SLACK
                     if begun >= 0 and now - begun > late:
                         where, why = Stop.LATE, f"not there after {late:.1f} s"
                         break
-                    time.sleep(POLL)
+                    self._wait()
         except (OSError, PlantError) as error:
             where, why = Stop.LOST, getattr(error, "why", str(error))
         past = state.getOutputIntRegister(PROGRESS) / 1000 if self._ours() else 0.0
@@ -255,15 +256,15 @@ class UrPlant(Controller):
         Raises:
             PlantError: where it still moves after :data:`CONNECT`.
         """
-        until = time.monotonic() + CONNECT
+        until = self.clock.now() + CONNECT
         self.serial += 1
         with contextlib.suppress(OSError), self._connection(self.place.port) as scripts:
             scripts.sendall(stop_script(self.serial).encode("ascii"))
-            while time.monotonic() < until and self._state.isConnected():
+            while self.clock.now() < until and self._state.isConnected():
                 stood = self._ours() and self._state.getOutputIntRegister(OUTCOME)
                 if self._speed() <= STANDS and (stood or self._stopped()):
                     return
-                time.sleep(POLL)
+                self._wait()
         if self._state.isConnected() and not self._silence() and self._speed() > STANDS:
             raise PlantError(Stop.LATE, "the arm does not stop")
 

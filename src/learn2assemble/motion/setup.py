@@ -7,6 +7,7 @@ newtons, kilograms.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -33,6 +34,25 @@ UNWANTED = 2.5
 """See :attr:`Surroundings.feel`."""
 
 
+def _sleep(seconds: float, came: Callable[[], float]) -> None:
+    time.sleep(seconds)
+
+
+class Clock(NamedTuple):
+    """By which whoever tells a controller what to do waits for it."""
+
+    now: Callable[[], float] = time.monotonic
+    """[s]"""
+    wait: Callable[[float, Callable[[], float]], None] = _sleep
+    """Returns after so long [s]. It is told what says of when the last state is that has come [s of
+    the controller]: a clock that drives its controller waits for what that has sent."""
+
+
+WALL = Clock()
+"""Of this machine; a simulated controller may bring its own, which goes on while it is waited
+for."""
+
+
 class Surroundings(NamedTuple):
     """What belongs to a cell beside the controller of its arm; a simulated one needs none of it."""
 
@@ -56,9 +76,11 @@ class Surroundings(NamedTuple):
     patience: float = 0.25
     """Longest silence towards the controller before the arm stops by itself [s of its clock]."""
     silence: float = 0.25
-    """Longest silence of the controller before it counts as lost [s of this machine]."""
+    """Longest silence of the controller before it counts as lost [s of ``clock``]."""
     answer: float = 2.0
-    """In which a controller has to begin with what it was told [s of this machine]."""
+    """In which a controller has to begin with what it was told [s of its clock]."""
+    clock: Clock = WALL
+    """By which a controller is waited for."""
 
 
 class Noise(NamedTuple):
