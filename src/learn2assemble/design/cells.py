@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -163,11 +163,12 @@ def design_of(
 
 def _check_carried(wanted: np.ndarray, cell: Lengths, source: str) -> None:
     """Refuse cells that are joined to the table by no chain of cells with common faces."""
-    from scipy.ndimage import label
+    from scipy import ndimage  # pyright: ignore[reportMissingTypeStubs]
 
     if not wanted[:, :, 0].any():
         floating(float(np.flatnonzero(wanted.any((0, 1)))[0]) * cell[2], cell, source)
-    part, _ = label(wanted)  # pyright: ignore[reportGeneralTypeIssues]
+    library: Any = ndimage
+    part, _ = library.label(wanted)
     rest = wanted & ~np.isin(part, part[:, :, 0])
     if rest.any():
         level = int(np.flatnonzero(rest.any((0, 1)))[0])

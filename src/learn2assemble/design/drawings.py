@@ -69,7 +69,7 @@ class Drawing:
     kit: str | None = None
     blocks: int | None = None
     """How many blocks there are; None where the file does not say."""
-    paints: Mapping[str, list[Paint]] = field(default_factory=dict)
+    paints: Mapping[str, list[Paint]] = field(default_factory=dict[str, list[Paint]])
     """By side, what is painted in which colour, later over earlier; empty for one of one colour."""
     not_read: str | None = None
     """What is visible in the file and is not read, in one line."""
@@ -215,15 +215,21 @@ def _painted(
     return made
 
 
+def polygons_of(region: CrossSection) -> Contours:
+    """The outlines of a region, ``float64[V, 2]`` each."""
+    whole: Any = region
+    return whole.to_polygons()
+
+
 @dataclass
 class Layer:
     """What is drawn on one layer."""
 
-    filled: list[DrawnShape] = field(default_factory=list)
+    filled: list[DrawnShape] = field(default_factory=list[DrawnShape])
     """In the order of drawing."""
-    lines: Contours = field(default_factory=list)
+    lines: Contours = field(default_factory=list[np.ndarray])
     """Closed outlines that are only drawn as lines: those inside others are holes."""
-    known: dict[int, CrossSection] = field(default_factory=dict)
+    known: dict[int, CrossSection] = field(default_factory=dict[int, "CrossSection"])
     """Regions of clips."""
 
     def shapes(self) -> list[DrawnShape]:
@@ -243,7 +249,7 @@ class Layer:
 
     def paints(self, scale: float, material: CrossSection) -> list[Paint]:
         """What is filled in which colour, in the order of painting; neighbours in one joined."""
-        made = []
+        made = list[Paint]()
         shapes = [shape for shape in self.filled if not shape.paper and shape.colour is not None]
         runs = [(c, list(group)) for c, group in itertools.groupby(shapes, lambda s: s.colour)]
         if len(runs) > MAX_PAINTS:
@@ -251,7 +257,7 @@ class Layer:
         for colour, group in runs:
             region = _united(group, scale, self.known) ^ material
             if colour is not None and not region.is_empty():
-                made.append(([p / scale for p in region.to_polygons()], colour))
+                made.append(([p / scale for p in polygons_of(region)], colour))
         return made
 
 
@@ -301,7 +307,7 @@ def to_drawing(layers: Mapping[str | None, Layer], metres: float | None, source:
                 raise UnknownNameError(f"{source}: layer", name or "(none)", SIDES)
         region = layer.region(_SPAN / span)
         if not region.is_empty():
-            sides.setdefault(side, []).extend(p * (span / _SPAN) for p in region.to_polygons())
+            sides.setdefault(side, []).extend(p * (span / _SPAN) for p in polygons_of(region))
             paints.setdefault(side, []).extend(layer.paints(_SPAN / span, region))
     if not sides:
         raise InputError(source, "outlines without an area", "material inside closed outlines")
@@ -362,7 +368,8 @@ def _check_overlaps(contours: Contours, source: str) -> None:
         "lines": np.concatenate([np.hstack([e.min(0), e.max(0)]) for e in edges]),
     }
     for what, most in MAX_OVERLAPS.items():
-        shapes: Any = shapely.box(*boxes[what].T)
+        library: Any = shapely
+        shapes: Any = library.box(*boxes[what].T)
         tree, left = shapely.STRtree(shapes), most
         for start in range(0, len(shapes), 64):
             left -= tree.query(shapes[start : start + 64]).shape[1]

@@ -163,6 +163,7 @@ def _closed(chains: list[np.ndarray]) -> Contours:
         shapely.LineString(np.concatenate([[start], chain[1:-1], [end]]))
         for chain, (start, end) in zip(chains, same, strict=True)
     ]
-    merged = shapely.line_merge(shapely.MultiLineString([x for x in met if not x.is_closed]))
+    library: Any = shapely
+    merged: Any = library.line_merge(shapely.MultiLineString([x for x in met if not x.is_closed]))
     loops = [*(x for x in met if x.is_closed), *shapely.get_parts(merged)]
     return [np.array(x.coords[:-1]) for x in loops if x.is_closed and len(x.coords) > 3]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import numpy as np
 
@@ -160,10 +161,11 @@ def _around(walls: list[Contours]) -> np.ndarray:
 
 def _caps(contours: Contours, place: int) -> np.ndarray:
     """The two sides of a wall between its contours (x, z), at y = place and place + 1."""
-    from manifold3d import triangulate
+    import manifold3d
 
-    points = np.concatenate(contours)
-    flat = points[np.asarray(triangulate(contours)).astype(np.int64).reshape(-1, 3)]
+    points, library = np.concatenate(contours), cast("Any", manifold3d)
+    corners: np.ndarray = np.asarray(library.triangulate(contours), np.int64)
+    flat = points[corners.reshape(-1, 3)]
     return np.concatenate([np.insert(flat, 1, place + k, axis=2) for k in (0, 1)])
 
 

@@ -180,7 +180,7 @@ def parse_goals(
 
 def _with_heap(kit: Kit, given: Any, where: str) -> Kit:
     """The kit with only the kinds that are named, and as many of them."""
-    counts = {}
+    counts = dict[str, int]()
     for name, count in mapping(given, where).items():
         kind = look_up(where, name, {kind.name: kind for kind in kit.kinds})
         if not 0 <= integer(count, f"{where}.{name}") <= MAX_COUNT:

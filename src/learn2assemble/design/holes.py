@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,7 +45,7 @@ def close_holes(vertices: np.ndarray, faces: np.ndarray) -> Mended | None:
     if rings is None or len(rings) > MAX_HOLES:
         return None
     widest = WIDEST * float(np.ptp(vertices, axis=0).max())
-    made, widths = [faces], []
+    made, widths = [faces], list[float]()
     for ring in rings:
         points = vertices[ring]
         widths.append(float(np.linalg.norm(np.ptp(points, axis=0))))
@@ -68,7 +68,7 @@ def _rings(faces: np.ndarray) -> list[np.ndarray] | None:
     if len(np.unique(start)) < len(start) or len(np.unique(end)) < len(end):
         return None
     before = dict(zip(end.tolist(), start.tolist(), strict=True))
-    rings = []
+    rings = list[np.ndarray]()
     while before:
         at, previous = before.popitem()
         ring = [at]
@@ -85,9 +85,10 @@ def _rings(faces: np.ndarray) -> list[np.ndarray] | None:
 def _filled(points: np.ndarray) -> np.ndarray | None:
     """``int64[T, 3]``: triangles between the points of a ring, ``float64[V, 3]``; None where it
     has no area, or crosses itself as seen along its normal."""
+    import manifold3d
     import shapely
-    from manifold3d import triangulate
 
+    library: Any = manifold3d
     moved = points - points.mean(0)
     normal = area_vector(points)
     length = float(np.linalg.norm(normal))
@@ -99,5 +100,5 @@ def _filled(points: np.ndarray) -> np.ndarray | None:
     flat = np.stack([moved @ across, moved @ np.cross(normal, across)], -1)
     if not shapely.Polygon(flat).is_valid:
         return None
-    made = np.asarray(triangulate([flat])).astype(np.int64)
+    made: np.ndarray = np.asarray(library.triangulate([flat]), np.int64)
     return made if len(made) == len(points) - 2 else None

@@ -54,7 +54,7 @@ def _seen_from_above(triangles: np.ndarray) -> np.ndarray:
 
 def _cut(triangles: np.ndarray, axis: int) -> np.ndarray:
     """The triangles in pieces, each between two neighbouring planes across ``axis``."""
-    done = []
+    done = list[np.ndarray]()
     while len(triangles):
         along = triangles[:, :, axis]
         low, high = np.floor(along.min(1) + _SLACK), np.ceil(along.max(1) - _SLACK)
@@ -62,7 +62,9 @@ def _cut(triangles: np.ndarray, axis: int) -> np.ndarray:
         done.append(triangles[~wide])
         triangles, plane = triangles[wide], ((low + high) // 2)[wide]
         above = triangles[:, :, axis] > plane[:, None]
-        lone = np.where(above.sum(1) == 1, above.argmax(1), above.argmin(1))
+        single = above.sum(1) == 1
+        lone = above.argmin(1)
+        lone[single] = above[single].argmax(1)
         turned = (lone[:, None] + np.arange(3)) % 3
         a, b, c = np.moveaxis(np.take_along_axis(triangles, turned[:, :, None], 1), 1, 0)
         p, q = (_crossing(a, end, axis, plane) for end in (b, c))
@@ -130,7 +132,8 @@ def _places(triangles: np.ndarray, axis: int) -> list[float]:
     normal = np.cross(u, v)
     across = np.abs(normal[:, axis]) > 0.999 * np.linalg.norm(normal, axis=1)
     weight = np.abs(normal[across, axis])
-    position, group = np.unique(np.round(along[across].mean(1) % 1, 6) % 1, return_inverse=True)
+    middles = np.asarray(along[across].mean(1) % 1, float).round(6) % 1
+    position, group = np.unique(middles, return_inverse=True)
     order = np.argsort(-np.bincount(group, weight, len(position)), kind="stable")
     # Whole cells about the middle, then half a cell further, then faces on planes.
     wanted = [middle, middle + 0.5, *position[order[:_PLANES]]]

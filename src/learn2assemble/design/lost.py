@@ -173,7 +173,8 @@ def _cells(wanted: np.ndarray, first: tuple[float, float], scale: np.ndarray) ->
     import shapely
 
     low = (np.argwhere(wanted) + np.array(first)) * scale
-    return shapely.union_all(shapely.box(*low.T, *(low + scale).T))
+    library: Any = shapely
+    return library.union_all(library.box(*low.T, *(low + scale).T))
 
 
 def _all(areas: list[Any]) -> Any:

@@ -78,7 +78,7 @@ def read_picture(
 def _outline(material: np.ndarray) -> np.ndarray:
     """Edges between pixels of material and others, ``float64[L, 2, 2]`` [pixels]."""
     padded = np.pad(material, 1).astype(np.int8)
-    found = []
+    found = list[np.ndarray]()
     for axis in (0, 1):
         along = np.array([axis == 1, axis == 0], np.int64)
         start = np.argwhere(np.diff(padded, axis=axis)) - along

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 
@@ -81,7 +81,7 @@ def read_given(design: object, kit: Kit | None, reading: Mapping[str, Any]) -> o
         return READERS[design.kind](design, kit, reading)
     if isinstance(design, np.ndarray):
         given = _reading(ARRAY, kit, reading)
-        voxels = solids.voxels_of(design, given.colours, ARRAY)
+        voxels = solids.voxels_of(cast("np.ndarray", design), given.colours, ARRAY)
         return _from_voxels(voxels, Origin(given, ARRAY, ARRAY, given.kit))
     _refuse(set(reading), "a design file or an array, which it tells how to read")
     return design

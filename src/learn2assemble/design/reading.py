@@ -129,10 +129,11 @@ OPTIONS = tuple(item.name for item in fields(Reading))
 def check_length(value: Any, where: str) -> float:
     """``value`` where it is a length in metres."""
     low, high = _LENGTHS
+    given: Any = value
     usable = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    if not usable or not low <= float(value) <= high:
-        raise InputError(where, value, f"a length from {low:g} to {high:g} m")
-    return float(value)
+    if not usable or not low <= float(given) <= high:
+        raise InputError(where, given, f"a length from {low:g} to {high:g} m")
+    return float(given)
 
 
 @dataclass(frozen=True, eq=False)

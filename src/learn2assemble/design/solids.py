@@ -160,7 +160,7 @@ def write_rhino_meshes(folder: str) -> None:
     model: Any = rhino3dm.File3dm.Read(str(given))
     if model is None:
         return
-    refused, found = "", []
+    refused, found = "", list[tuple[np.ndarray, np.ndarray]]()
     for item in model.Objects:
         shape: Any = item.Geometry
         if not item.Attributes.Visible:
@@ -273,8 +273,9 @@ def _united(parts: list[np.ndarray], source: str) -> np.ndarray:
     bodies = [_manifold(part) for part in parts]
     if any(body.status() != Error.NoError for body in bodies):
         raise InputError(source, "an object that is no clean solid", "closed objects")
-    whole = Manifold.batch_boolean(bodies, OpType.Add).to_mesh64()
-    return np.asarray(whole.vert_properties)[:, :3][np.asarray(whole.tri_verts).astype(np.int64)]
+    whole: Any = Manifold.batch_boolean(bodies, OpType.Add).to_mesh64()
+    corners: np.ndarray = np.asarray(whole.vert_properties)[:, :3]
+    return corners[np.asarray(whole.tri_verts).astype(np.int64)]
 
 
 def _manifold(triangles: np.ndarray) -> Manifold:
@@ -320,13 +321,13 @@ def read_npz(content: bytes, source: str, limit: int) -> Voxels:
     if "wanted" not in arrays:
         raise InputError(f"{source}: arrays", sorted(arrays), "one called 'wanted', or only one")
     made = voxels_of(arrays["wanted"], arrays.get("colours"), source)
-    cell = arrays.get("cell")
+    cell, edges = arrays.get("cell"), None
     if cell is not None:
         if cell.size not in (1, 3) or not np.isfinite(cell.astype(np.float64)).all():
             raise InputError(f"{source}: cell", cell.tolist(), "one or three lengths [m]")
         x, y, z = (float(edge) for edge in np.broadcast_to(cell.reshape(-1), 3))
         edges = x, y, z
-    return replace(made, cell=None if cell is None else edges)
+    return replace(made, cell=edges)
 
 
 def voxels_of(values: np.ndarray, colours: Any, source: str) -> Voxels:
@@ -339,7 +340,9 @@ def voxels_of(values: np.ndarray, colours: Any, source: str) -> Voxels:
     """
     wanted = _cells(values, source)
     if colours is not None:
-        shape, kind = getattr(colours, "shape", ()), getattr(colours, "dtype", type(colours))
+        shape = getattr(colours, "shape", ())
+        given: object = colours
+        kind: Any = getattr(colours, "dtype", type(given))
         if shape != (*wanted.shape, 3) or kind != np.uint8:
             got = f"{getattr(kind, 'name', kind)}{list(shape)}"
             raise InputError(f"{source}: colours", got, f"uint8{[*wanted.shape, 3]}")

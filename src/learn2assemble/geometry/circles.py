@@ -46,7 +46,7 @@ def ball(dimensions: int) -> tuple[np.ndarray, float]:
     Args:
         dimensions: 2 (sixteen directions) or 3 (those of the faces, edges and corners of a cube).
     """
-    from scipy.spatial import HalfspaceIntersection
+    from scipy.spatial import HalfspaceIntersection  # pyright: ignore[reportMissingTypeStubs]
 
     if dimensions == 2:
         angle = np.pi / 8 * np.arange(16)

@@ -72,7 +72,15 @@ def _curve(centres: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True)
-def _search(points, edges, shared, below, above, depth, inside):
+def _search(
+    points: np.ndarray,
+    edges: np.ndarray,
+    shared: np.ndarray,
+    below: np.ndarray,
+    above: np.ndarray,
+    depth: float,
+    inside: float,
+) -> int:
     """The index of the first edge that crosses a triangle, or -1; ``shared`` of a leaf are the
     vertices of its triangle."""
     leaves = len(below) // 2
@@ -108,7 +116,9 @@ def _search(points, edges, shared, below, above, depth, inside):
 
 
 @njit(cache=True)
-def _crosses(points, i, j, triangle, depth, inside):
+def _crosses(
+    points: np.ndarray, i: int, j: int, triangle: np.ndarray, depth: float, inside: float
+) -> bool:
     """Whether the edge from i to j runs through a triangle that has neither."""
     u, v, w = triangle
     p, q = points[i], points[j]

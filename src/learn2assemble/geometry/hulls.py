@@ -30,7 +30,7 @@ def convex_hull(points: np.ndarray) -> tuple[np.ndarray, tuple[tuple[int, ...], 
     Raises:
         ValueError: where all points lie in a plane.
     """
-    from scipy.spatial import ConvexHull, QhullError
+    from scipy.spatial import ConvexHull, QhullError  # pyright: ignore[reportMissingTypeStubs]
 
     try:
         hull = ConvexHull(points - points[0])
@@ -42,7 +42,7 @@ def convex_hull(points: np.ndarray) -> tuple[np.ndarray, tuple[tuple[int, ...], 
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     width = ONE_PLANE * float(np.ptp(corners, axis=0).max())
     # Planes of large triangles are known best; slivers along an edge lie in two of them.
-    left, planes = np.ones(len(triangles), bool), []
+    left, planes = np.ones(len(triangles), bool), list[tuple[np.ndarray, np.ndarray]]()
     for k in np.argsort(-area):
         if left[k]:
             normal = hull.equations[k, :3]
@@ -51,7 +51,7 @@ def convex_hull(points: np.ndarray) -> tuple[np.ndarray, tuple[tuple[int, ...], 
             planes.append((normal, inside))
     # What fewer than three planes meet in is a point of a face or of an edge.
     corner = np.sum([inside for _, inside in planes], axis=0) >= 3
-    number, faces = np.cumsum(corner) - 1, []
+    number, faces = np.cumsum(corner) - 1, list[tuple[int, ...]]()
     for normal, inside in planes:
         face = np.flatnonzero(inside & corner)
         arm = corners[face] - corners[face].mean(0)
@@ -147,15 +147,15 @@ class Hull:
 
     def shrunk(self, room: float) -> Hull:
         """The hull with every face moved inwards [m]; itself where nothing would be left."""
-        from scipy.spatial import HalfspaceIntersection, QhullError
+        from scipy import spatial  # pyright: ignore[reportMissingTypeStubs]
 
         planes = np.column_stack([self.normals, room - self.offsets])
         inside = self.centroid
         if (planes[:, :3] @ inside + planes[:, 3]).max() > -1e-9:
             return self
         try:
-            return hull_of(HalfspaceIntersection(planes, inside).intersections)
-        except (QhullError, ValueError):
+            return hull_of(spatial.HalfspaceIntersection(planes, inside).intersections)
+        except (spatial.QhullError, ValueError):
             return self
 
 
@@ -196,7 +196,7 @@ def resting_turns(hull: Hull, centre: np.ndarray, least: float = math.radians(3.
         centre: float64[3], its centre of mass.
         least: margin [rad] below which it does not count as resting.
     """
-    found = []
+    found = list[Rest]()
     for face, normal in enumerate(hull.normals):
         corners = hull.polygon(face)
         height = float((corners[0] - centre) @ normal)
@@ -252,7 +252,7 @@ def rotations_onto(one: np.ndarray, two: np.ndarray, grain: float) -> Iterator[n
     # The points that say most about a turn: far from the middle, and far off the first one's line.
     p = int(np.argmax(size))
     q = int(np.argmax(np.linalg.norm(np.cross(a[p], a), axis=1)))
-    first, seen = _frame(a[p], a[q]), []
+    first, seen = _frame(a[p], a[q]), list[np.ndarray]()
     apart = np.linalg.norm(a[p] - a[q])
     for i in np.flatnonzero(np.abs(other - size[p]) <= grain):
         there = np.abs(np.linalg.norm(b - b[i], axis=1) - apart) <= 2 * grain

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -129,7 +129,7 @@ class Elements:
             raise InputError(self.source, got, f"at most {MAX_VISITED} and {MAX_VERTICES}")
 
     @contextmanager
-    def following(self, target: ElementTree.Element) -> Iterator[None]:
+    def following(self, target: ElementTree.Element) -> Generator[None, None, None]:
         """Go to what a reference names, but in no circle."""
         if target in self.open:
             expected = "references without a circle"
@@ -270,7 +270,7 @@ class Elements:
             if stops or other is None:
                 break
             target = other
-        kinds, mixed = set(), []
+        kinds, mixed = set[tuple[bool, bool]](), list[tuple[float, ...]]()
         for stop in stops:
             self.visit(stop)
             style = self.computed(stop).style

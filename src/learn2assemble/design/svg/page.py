@@ -49,7 +49,7 @@ def view_box(element: ElementTree.Element) -> list[float] | None:
 
 def page_of(root: ElementTree.Element, source: str) -> Page:
     """The view of the whole drawing, as in a page that gives it the size it asks for."""
-    box, sizes, real = view_box(root), [], False
+    box, sizes, real = view_box(root), list[float | None](), False
     for key in ("width", "height"):
         given = root.get(key, "").strip()
         number, unit = paths.pair(given) or (0.0, "%")

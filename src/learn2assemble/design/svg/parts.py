@@ -137,7 +137,7 @@ def paint(parts: list[PaintedPart], page: Page, not_read: Counter[str], source: 
 
 def _said(not_read: Counter[str], outside: int) -> str | None:
     """What is not read, in one line."""
-    said = []
+    said = list[str]()
     if words := counted(not_read):
         can = any(not_read[name] for name in ("text", "stroke", "text in a clip path"))
         said.append(f"not read: {words}" + (": convert them to paths" if can else ""))

@@ -91,7 +91,7 @@ def length(text: str, along: str, frame: LengthContext, source: str) -> float:
 
 def numbers(text: str) -> list[float] | None:
     """The numbers of a list; None where anything else is in it, or one is too large."""
-    made, position, text = [], 0, text.rstrip()
+    made, position, text = list[float](), 0, text.rstrip()
     while position < len(text):
         found = _NEXT.match(text, position)
         if not found or abs(float(found[1])) > LARGEST:
@@ -109,9 +109,33 @@ def affine(a: float, b: float, c: float, d: float, e: float, f: float) -> Matrix
     return np.array([(a, c, e), (b, d, f), (0.0, 0.0, 1.0)])
 
 
-def shift(x: float, y: float) -> Matrix:
+def shift(x: float, y: float = 0.0) -> Matrix:
     """A translation."""
     return affine(1, 0, 0, 1, x, y)
+
+
+def _lift(y: float) -> Matrix:
+    return shift(0, y)
+
+
+def _scale(x: float, y: float | None = None) -> Matrix:
+    return affine(x, 0, 0, x if y is None else y, 0, 0)
+
+
+def _widen(x: float) -> Matrix:
+    return _scale(x, 1)
+
+
+def _raise(y: float) -> Matrix:
+    return _scale(1, y)
+
+
+def _skew(x: float, y: float = 0.0) -> Matrix:
+    return affine(1, math.tan(math.radians(y)), math.tan(math.radians(x)), 1, 0, 0)
+
+
+def _skew_up(y: float) -> Matrix:
+    return _skew(0, y)
 
 
 def _turn(angle: float, x: float = 0.0, y: float = 0.0) -> Matrix:
@@ -121,19 +145,16 @@ def _turn(angle: float, x: float = 0.0, y: float = 0.0) -> Matrix:
 
 _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., Matrix]]] = {
     "matrix": ((6,), affine),
-    "translate": ((1, 2), lambda x, y=0.0: shift(x, y)),
-    "translatex": ((1,), lambda x: shift(x, 0)),
-    "translatey": ((1,), lambda y: shift(0, y)),
-    "scale": ((1, 2), lambda x, y=None: affine(x, 0, 0, x if y is None else y, 0, 0)),
-    "scalex": ((1,), lambda x: affine(x, 0, 0, 1, 0, 0)),
-    "scaley": ((1,), lambda y: affine(1, 0, 0, y, 0, 0)),
+    "translate": ((1, 2), shift),
+    "translatex": ((1,), shift),
+    "translatey": ((1,), _lift),
+    "scale": ((1, 2), _scale),
+    "scalex": ((1,), _widen),
+    "scaley": ((1,), _raise),
     "rotate": ((1, 3), _turn),
-    "skewx": ((1,), lambda angle: affine(1, 0, math.tan(math.radians(angle)), 1, 0, 0)),
-    "skewy": ((1,), lambda angle: affine(1, math.tan(math.radians(angle)), 0, 1, 0, 0)),
-    "skew": (
-        (1, 2),
-        lambda x, y=0.0: affine(1, math.tan(math.radians(y)), math.tan(math.radians(x)), 1, 0, 0),
-    ),
+    "skewx": ((1,), _skew),
+    "skewy": ((1,), _skew_up),
+    "skew": ((1, 2), _skew),
 }
 
 
@@ -159,7 +180,7 @@ def _arguments(text: str, name: str) -> list[float] | None:
     units = {"": 1.0} if name.startswith(("scale", "matrix")) else units
     if (plain := numbers(text)) is not None:
         return plain
-    made = []
+    made = list[float]()
     for part in re.split(r"[\s,]+", text.strip()):
         number, unit = pair(part) or (0.0, "?")
         if unit not in units:
@@ -236,12 +257,13 @@ class Curve:
         a, b, c, d = (self.points[at + k] for k in range(4))
         bend = np.maximum(np.hypot(*(a - 2 * b + c).T), np.hypot(*(b - 2 * c + d).T))
         lines = np.clip(np.ceil(np.sqrt(0.75 * bend / tolerance)), 1, most).astype(int)
-        pieces, last = [], 0
+        pieces, last = list[np.ndarray](), 0
         for first, many in zip(self.cubics, lines.tolist(), strict=True):
             t = np.linspace(0, 1, many + 1)[1:, None]
             weights = (1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3
             pieces.append(self.points[last : first + 1])
-            pieces.append(sum(w * p for w, p in zip(weights, self.points[first:], strict=False)))
+            ends = zip(weights, self.points[first:], strict=False)
+            pieces.append(np.sum([w * p for w, p in ends], axis=0))
             last = first + 4
         return np.concatenate([*pieces, self.points[last:]])
 
@@ -375,13 +397,13 @@ def path(data: str, most: int) -> tuple[list[Curve], bool]:
     while position < len(data) and drawn <= most:
         letter = _LETTER.match(data, position)
         if letter:
-            command, position = letter[1], letter.end()
+            command, position = str(letter[1]), letter.end()
         elif command in ("", "Z", "z"):
             sound = False
             break
         else:
-            command = {"M": "L", "m": "l"}.get(command, command)
-        values = []
+            command = "L" if command == "M" else "l" if command == "m" else command
+        values = list[float]()
         for k in range(_TAKES[command.upper()]):
             flag = command in "Aa" and k in (3, 4)
             found = (_FLAG if flag else _NEXT).match(data, position)

@@ -13,6 +13,7 @@ import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from learn2assemble.design.svg.paths import pair
 from learn2assemble.errors import InputError
@@ -94,7 +95,8 @@ Colour = tuple[int, int, int, float]
 
 def local(element: ElementTree.Element) -> str:
     """The tag of an element of SVG; empty for one of another language."""
-    tag = element.tag if isinstance(element.tag, str) else "{}"
+    given: Any = element.tag  # A function, of comments and instructions.
+    tag = given if isinstance(given, str) else "{}"
     space, _, name = tag.rpartition("}")
     return name if space in ("", "{http://www.w3.org/2000/svg") else ""
 
@@ -195,7 +197,7 @@ class _Rule:
 
 def _selector(text: str, order: int, declared: tuple[tuple[str, str, bool], ...]) -> _Rule | None:
     """The rule of a selector; None for one that is not read."""
-    compounds, children = [], []
+    compounds, children = list[tuple[str, frozenset[str], bool]](), list[bool]()
     ids = classes = tags = 0
     for word in text.replace(">", " > ").split():
         if word == ">":
@@ -253,13 +255,13 @@ def _shown(query: str) -> bool | None:
 class Sheets:
     """The rules of the style sheets of a drawing."""
 
-    rules: dict[str, list[_Rule]] = field(default_factory=dict)
+    rules: dict[str, list[_Rule]] = field(default_factory=dict[str, list[_Rule]])
     """By an id, a class or the tag of the element that a selector ends in."""
-    not_read: Counter[str] = field(default_factory=Counter)
+    not_read: Counter[str] = field(default_factory=Counter[str])
     """What of them is not read, in words."""
     compared: int = 0
-    _known: dict[tuple[int, int], Style] = field(default_factory=dict)
-    _own: dict[int, frozenset[str]] = field(default_factory=dict)
+    _known: dict[tuple[int, int], Style] = field(default_factory=dict[tuple[int, int], Style])
+    _own: dict[int, frozenset[str]] = field(default_factory=dict[int, frozenset[str]])
 
     @classmethod
     def of(cls, root: ElementTree.Element, source: str) -> Sheets:
@@ -326,7 +328,7 @@ class Sheets:
             for name, value, important in declarations(element.get("style", ""))
         ]
         made: Style = {}
-        unread = set()
+        unread = set[str]()
         for name, value, _ in sorted(given, key=lambda item: item[2]):
             if name in NOT_READ:
                 made[name] = value

@@ -250,7 +250,7 @@ class _Walk:
             raise InputError(self.source, "a mask that is partly transparent", "black and white")
         if alpha <= 0:
             return [replace(part, alpha=0.0, stroked=False) for part in parts]
-        made, above, runs, was_paper = [], (), 0, False
+        made, above, runs, was_paper = list[PaintedPart](), tuple[PaintedPart, ...](), 0, False
         for part in reversed(parts):
             if part.paper:
                 above, runs = (part, *above), runs + (not was_paper)
