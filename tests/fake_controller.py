@@ -36,7 +36,7 @@ from learn2assemble.motion.plant import (
     ToolCommand,
     ToolReading,
 )
-from learn2assemble.motion.setup import Clock, Setup
+from learn2assemble.motion.setup import PlantClock, Setup
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.simulation.plant import DynamicPlant
 
@@ -318,7 +318,7 @@ class FakeProcess:
         command = [sys.executable, __file__, kind, host]
         self.host, self.kind = host, kind
         self.time = 0.0
-        self.clock = Clock(lambda: self.time, self.wait)
+        self.clock = PlantClock(lambda: self.time, self.wait)
         """Of the robot: who waits by it lets it go on."""
         self.process = subprocess.Popen(
             command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parent

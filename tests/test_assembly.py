@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
-from learn2assemble.assembly.boxes import Box, box_block, box_blocks
+from learn2assemble.assembly.boxes import BoxFields, box_block, box_blocks
 from learn2assemble.assembly.compas import from_compas, to_compas, write_compas
 from learn2assemble.assembly.contacts import (
     GROUND,
@@ -624,7 +624,7 @@ def test_boxes_by_the_thousand_are_as_one_by_one() -> None:
     rng = np.random.default_rng(0)
     low = rng.normal(size=(50, 3))
     high = low + rng.uniform(0.01, 2.0, (50, 3))
-    given = [Box(f"b{k}", "kind", 100.0 + k, (1, 2, k)) for k in range(50)]
+    given = [BoxFields(f"b{k}", "kind", 100.0 + k, (1, 2, k)) for k in range(50)]
     for block, box, lower, upper in zip(
         box_blocks(given, low, high), given, low, high, strict=True
     ):
@@ -652,7 +652,7 @@ def test_boxes_by_the_thousand_are_as_one_by_one() -> None:
 def test_a_wrong_box_among_others_is_named(wrong: dict[str, Any], said: str) -> None:
     low, high = np.zeros((3, 3)), np.ones((3, 3))
     high[1, 2] = wrong.get("high", 1.0)
-    boxes = [Box(f"b{k}", "", 1000.0) for k in range(3)]
+    boxes = [BoxFields(f"b{k}", "", 1000.0) for k in range(3)]
     boxes[1] = boxes[1]._replace(**{k: v for k, v in wrong.items() if k != "high"})
     with pytest.raises(InputError, match=said):
         box_blocks(boxes, low, high)

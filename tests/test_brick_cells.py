@@ -20,7 +20,7 @@ from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.bearing import NO_WAY, least_ways
 from learn2assemble.planning.tiling.bricks import _Tiler
-from learn2assemble.planning.tiling.linked import Layer, NoCover, linked_cover
+from learn2assemble.planning.tiling.linked import LayerCells, NoCover, linked_cover
 from learn2assemble.planning.tiling.slabs import slabs_of
 from learn2assemble.statics.holding import Balance
 from test_brick_order import replay
@@ -321,7 +321,7 @@ def test_a_tree_that_chance_does_not_join_is_joined() -> None:
     assert "whichever way one fills them" in (plan.reason or "")
 
 
-def covers(layer: Layer) -> list[list[tuple[int, int, int, int]]]:
+def covers(layer: LayerCells) -> list[list[tuple[int, int, int, int]]]:
     """All covers of a layer by linked bricks, each with one across every cut, by trying out."""
     found = []
 
@@ -354,7 +354,7 @@ def test_linked_covers_are_those_that_trying_out_finds() -> None:
         rng = np.random.default_rng(seed)
         cells = rng.random((4, 4)) < 0.7
         cuts = (rng.random((int(rng.integers(3)), 4, 4)) < 0.4) & cells
-        layer = Layer(cells, rng.random((4, 4)) < 0.4, sizes, cuts)
+        layer = LayerCells(cells, rng.random((4, 4)) < 0.4, sizes, cuts)
         all_ = covers(layer)
         try:
             (made,) = linked_cover([layer], 60.0) or [None]

@@ -10,14 +10,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from learn2assemble.errors import InputError
 from learn2assemble.motion.plant import Guard, Motion, Report, Stop, ToolCommand, standing
 from learn2assemble.motion.setup import BlockKind, Setup
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.inverse import solve
-from learn2assemble.robot.studs import Studs
 from learn2assemble.simulation.clock import SharedClock
 from learn2assemble.simulation.plant import DynamicPlant
 
@@ -176,12 +174,6 @@ def test_parts_of_the_arms_are_told_apart() -> None:
         assert names
         assert all(name.startswith("1/") == bool(prefix) for name in names)
     assert mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_EQUALITY, right.cup) == "1/cup"
-
-
-def test_bricks_that_clutch_take_one_arm() -> None:
-    setup = Setup(LEFT, {"a": BRICK}, {}, studs=Studs((), 1.0), others=(RIGHT,))
-    with pytest.raises(InputError, match="one arm"):
-        DynamicPlant(setup)
 
 
 # ---------------------------------------------------------------- the clock

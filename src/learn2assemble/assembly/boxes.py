@@ -32,7 +32,7 @@ def box_block(id: str, lower: Sequence[float], upper: Sequence[float], **kwargs:
     return Block(id, bounds[_BOX_CORNERS, np.arange(3)], _BOX_FACES, **kwargs)
 
 
-class Box(NamedTuple):
+class BoxFields(NamedTuple):
     """What :func:`box_blocks` makes a block of; fields as those of :class:`Block`."""
 
     id: str
@@ -41,7 +41,7 @@ class Box(NamedTuple):
     colour: Colour | None = None
 
 
-def box_blocks(boxes: Sequence[Box], lower: np.ndarray, upper: np.ndarray) -> list[Block]:
+def box_blocks(boxes: Sequence[BoxFields], lower: np.ndarray, upper: np.ndarray) -> list[Block]:
     """Axis-aligned boxes as blocks: as :func:`box_block` of each, but all are looked at together,
     as models have thousands.
 

@@ -32,7 +32,7 @@ from learn2assemble.motion.plant import (
     ToolCommand,
     ToolReading,
 )
-from learn2assemble.motion.setup import Clock, Setup, Surroundings
+from learn2assemble.motion.setup import PlantClock, Setup, Surroundings
 
 if TYPE_CHECKING:
     from learn2assemble.motion.settings import ProgramSettings
@@ -83,7 +83,7 @@ class Controller(ABC):
         self.around: Surroundings = setup.around
         self.settings: ProgramSettings = self.around.program
         self.driver: Driver = driver_of(setup.arm)
-        self.clock: Clock = self.around.clock
+        self.clock: PlantClock = self.around.clock
         self._clock = ControllerClock(self.around.silence)
         self._base = quaternion_matrix(self.driver.base[3:])
         self._last: ControllerState | None = None

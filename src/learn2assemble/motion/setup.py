@@ -38,7 +38,7 @@ def _sleep(seconds: float, came: Callable[[], float]) -> None:
     time.sleep(seconds)
 
 
-class Clock(NamedTuple):
+class PlantClock(NamedTuple):
     """By which whoever tells a controller what to do waits for it."""
 
     now: Callable[[], float] = time.monotonic
@@ -48,7 +48,7 @@ class Clock(NamedTuple):
     the controller]: a clock that drives its controller waits for what that has sent."""
 
 
-WALL = Clock()
+WALL = PlantClock()
 """Of this machine; a simulated controller may bring its own, which goes on while it is waited
 for."""
 
@@ -79,7 +79,7 @@ class Surroundings(NamedTuple):
     """Longest silence of the controller before it counts as lost [s of ``clock``]."""
     answer: float = 2.0
     """In which a controller has to begin with what it was told [s of its clock]."""
-    clock: Clock = WALL
+    clock: PlantClock = WALL
     """By which a controller is waited for."""
 
 

@@ -411,7 +411,9 @@ def _assemble(body, wrench, slope, leak, springs, at, turned, data):
 
 
 @njit(cache=True)
-def add_wrenches(body, wrench, forces, result):  # pragma: no cover
+def add_wrenches(  # pragma: no cover
+    body: np.ndarray, wrench: np.ndarray, forces: np.ndarray, result: np.ndarray
+) -> None:
     """Add what forces at corners do to both of their blocks, in place."""
     for p in range(len(forces)):
         for r in range(3):

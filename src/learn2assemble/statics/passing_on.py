@@ -46,7 +46,14 @@ class JointSums:
 
 
 @njit(cache=True)
-def ranked(start, columns, a, b, on, free):  # pragma: no cover
+def ranked(  # pragma: no cover
+    start: np.ndarray,
+    columns: np.ndarray,
+    a: np.ndarray,
+    b: np.ndarray,
+    on: np.ndarray,
+    free: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
     """Blocks that nothing holds, from what is held outwards, and how many joints they are from
     it."""
     count = len(free)

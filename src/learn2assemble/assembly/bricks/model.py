@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from learn2assemble.assembly.blocks import MAX_BLOCKS, Assembly, AssemblyStep, Block
-from learn2assemble.assembly.boxes import Box, box_blocks
+from learn2assemble.assembly.boxes import BoxFields, box_blocks
 from learn2assemble.assembly.kit import Kind, Kit
 from learn2assemble.errors import InputError
 
@@ -89,7 +89,7 @@ def assembly_of(model: BrickModel, kit: Kit, source: str) -> Assembly:
         density = kit.density if kind.density is None else kind.density
         if brick.mass is not None:
             density = brick.mass / math.prod(size)
-        boxes.append(Box(f"b{number}", kind.name, density, brick.colour))
+        boxes.append(BoxFields(f"b{number}", kind.name, density, brick.colour))
     blocks = box_blocks(boxes, lower, lower + sizes)
     steps = tuple(AssemblyStep(place=block.id) for block in blocks) if model.ordered else ()
     return Assembly(tuple(blocks), steps, kit.friction, model.name, joint=kit.joint)

@@ -37,7 +37,7 @@ from learn2assemble.planning.tiling.bearing import (
     least_ways,
     ways_of,
 )
-from learn2assemble.planning.tiling.linked import Layer, NoCover, linked_cover
+from learn2assemble.planning.tiling.linked import LayerCells, NoCover, linked_cover
 from learn2assemble.planning.tiling.slabs import inside, slabs_of
 from learn2assemble.statics.holding_check import JointAnswer, stands_by_joints
 
@@ -380,13 +380,13 @@ class _Tiler:
                     self._lay(self._next, _Placed(*one, number))
                     self._next += 1
 
-    def _layer(self, number: int, cuts: list[np.ndarray]) -> Layer:
+    def _layer(self, number: int, cuts: list[np.ndarray]) -> LayerCells:
         low, high, cells = self.slabs[number]
         linked = np.full(cells.shape, low == 0)
         for level in {low - 1, high} & set(range(self.wanted.shape[2])):
             linked |= self.wanted[:, :, level]
         mine = np.array([cut[:, :, low] & cells for cut in cuts])
-        return Layer(cells, linked, self.sizes[self.layers * (high - low)], mine)
+        return LayerCells(cells, linked, self.sizes[self.layers * (high - low)], mine)
 
     def loose(self) -> int:
         """How many bricks are in pieces that do not stand on the ground."""

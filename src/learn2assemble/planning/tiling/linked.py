@@ -16,7 +16,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from learn2assemble.linear_programs import Model, solve
 
 
-class Layer(NamedTuple):
+class LayerCells(NamedTuple):
     """Cells that are covered by bricks of one height."""
 
     cells: np.ndarray
@@ -37,7 +37,7 @@ class NoCover(Exception):
     """There is no cover without something loose."""
 
 
-def linked_cover(layers: list[Layer], seconds: float) -> list[Cover] | None:
+def linked_cover(layers: list[LayerCells], seconds: float) -> list[Cover] | None:
     """Bricks that cover layers, each with a cell that is linked, and across every cut one at least;
     few, and of these such as have many linked cells.
 
@@ -89,7 +89,7 @@ def linked_cover(layers: list[Layer], seconds: float) -> list[Cover] | None:
     ]
 
 
-def _bricks(layer: Layer) -> np.ndarray:
+def _bricks(layer: LayerCells) -> np.ndarray:
     """int64[n, 5]: first cell and extents of all bricks that have linked cells, and how many."""
     found = [np.empty((0, 5), np.int64)]
     for a, b in layer.sizes.tolist():
