@@ -19,9 +19,12 @@ from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.bricks.files import of_stablelego
 from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
 from learn2assemble.assembly.kit import load_kit
+from learn2assemble.cell.bricks import BrickStates
+from learn2assemble.robot.moves import Scene
+from learn2assemble.robot.studs import Studs
 
 DATA = Path(__file__).parent / "data"
-LEGO = load_kit("lego")
+LEGO, DUPLO = load_kit("lego"), load_kit("duplo")
 PUBLISHED = 0.98
 """Capacity of the published verdicts [N]."""
 SIZES = [(1, 1), (1, 2), (1, 4), (2, 2), (2, 4), (2, 6), (1, 8), (2, 3)]
@@ -67,3 +70,27 @@ def random_bricks(seed: int, count: int) -> list[tuple[tuple[int, int], tuple[in
             taken |= cells
             made.append(((a, b), (x, y, z)))
     return made
+
+
+def duplo(*given: tuple[tuple[int, int], tuple[int, int, int]]) -> Assembly:
+    """Large bricks of some extents at corners in studs and layers."""
+    made = [Brick(at, (a, b, 1), f"brick {k}") for k, ((a, b), at) in enumerate(given)]
+    return assembly_of(BrickModel(tuple(made)), DUPLO, "test")
+
+
+def scene_of(assembly: Assembly, states: BrickStates, home: bool = True) -> Scene:
+    """An assembly as a simulation takes it, every joint home or, of bricks on others, none."""
+    boxes = np.array([[b.vertices.min(0), b.vertices.max(0)] for b in assembly.blocks])
+    count = len(boxes)
+    pairs = sorted(pair for pair in states.mates.knobs if home or pair[0] >= 0)
+    joints = tuple(states.stud_joint(*pair)._replace(home=home) for pair in pairs)
+    return Scene(
+        boxes.mean(1),
+        np.zeros(count),
+        np.arange(count),
+        count,
+        np.diff(boxes, axis=1)[:, 0] / 2,
+        np.array([block.density for block in assembly.blocks]),
+        np.tile([1.0, 0, 0, 0], (count, 1)),
+        studs=Studs(joints, assembly.joint.press),
+    )

@@ -11,11 +11,9 @@ import numpy as np
 import pytest
 
 import learn2assemble as l2a
+from brick_data import DUPLO, duplo, scene_of
 from l2a_lab.arm_distances import WatchedCell
-from learn2assemble.assembly.blocks import Assembly
-from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
 from learn2assemble.assembly.joints import Joint
-from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.brick_team import bricks_by_team
 from learn2assemble.cell.bricks import BrickStates, BrickStructure
 from learn2assemble.cell.crew import Member
@@ -35,7 +33,6 @@ from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.capsules import capsules_of, in_hand, solid_capsules
-from learn2assemble.robot.moves import Scene
 from learn2assemble.robot.studs import Studs
 from learn2assemble.robot.sweeps import still, sweep
 from learn2assemble.simulation.cell import DynamicCell
@@ -43,14 +40,7 @@ from learn2assemble.simulation.clutch import Clutch
 from learn2assemble.simulation.model import rigid_objects
 from learn2assemble.simulation.simulation import SimulatedState
 
-DUPLO = load_kit("duplo")
 ARMS = SiteArm("one", "panda", "gripper"), SiteArm("two", "panda", "gripper")
-
-
-def duplo(*given: tuple[tuple[int, int], tuple[int, int, int]]) -> Assembly:
-    """Large bricks of some extents at corners in studs and layers."""
-    made = [Brick(at, (a, b, 1), f"brick {k}") for k, ((a, b), at) in enumerate(given)]
-    return assembly_of(BrickModel(tuple(made)), DUPLO, "test")
 
 
 STAIR = duplo(((4, 2), (0, 0, 0)), ((2, 2), (0, 0, 1)), ((2, 2), (1, 0, 2)), ((2, 2), (2, 0, 3)))
@@ -188,19 +178,8 @@ def test_what_each_hand_has_pressed_home_is_its_own() -> None:
     towers = duplo(
         ((2, 2), (0, 0, 0)), ((2, 2), (0, 0, 1)), ((2, 2), (8, 0, 0)), ((2, 2), (8, 0, 1))
     )
-    boxes = np.array([[b.vertices.min(0), b.vertices.max(0)] for b in towers.blocks])
-    states, count = BrickStates(towers), len(boxes)
-    joints = tuple(states.stud_joint(*p) for p in sorted(states.mates.knobs) if p[0] >= 0)
-    scene = Scene(
-        boxes.mean(1),
-        np.zeros(count),
-        np.arange(count),
-        count,
-        np.diff(boxes, axis=1)[:, 0] / 2,
-        np.array([block.density for block in towers.blocks]),
-        np.tile([1.0, 0, 0, 0], (count, 1)),
-        studs=Studs(joints, towers.joint.press),
-    )
+    states = BrickStates(towers)
+    scene = scene_of(towers, states, home=False)
     objects, poses, names = rigid_objects(scene)
     assert scene.studs is not None
     world = DynamicCell(get_arm("panda", "gripper", (-0.6, 0, 0, 0))).world(objects, scene.studs)

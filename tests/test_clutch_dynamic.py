@@ -11,46 +11,21 @@ import pytest
 from scipy.optimize import linprog
 
 import learn2assemble as l2a
+from brick_data import DUPLO, duplo, scene_of
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.bricks.lattice import GROUND
-from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
-from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.bricks import BrickStates
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.grasps import Attitude
-from learn2assemble.robot.moves import Move, Scene
+from learn2assemble.robot.moves import Move
 from learn2assemble.robot.studs import Studs
 from learn2assemble.simulation.cell import DynamicCell
 from learn2assemble.simulation.clutch import holds
 from learn2assemble.statics.holding import Push
 
-DUPLO = load_kit("duplo")
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples/bricks"
-
-
-def duplo(*given: tuple[tuple[int, int], tuple[int, int, int]]) -> Assembly:
-    """Large bricks of some extents at corners in studs and layers."""
-    made = [Brick(at, (a, b, 1), f"brick {k}") for k, ((a, b), at) in enumerate(given)]
-    return assembly_of(BrickModel(tuple(made)), DUPLO, "test")
-
-
-def scene_of(assembly: Assembly, states: BrickStates) -> Scene:
-    """An assembly as a simulation takes it, every joint home."""
-    boxes = np.array([[b.vertices.min(0), b.vertices.max(0)] for b in assembly.blocks])
-    count = len(boxes)
-    joints = tuple(states.stud_joint(*pair)._replace(home=True) for pair in states.mates.knobs)
-    return Scene(
-        boxes.mean(1),
-        np.zeros(count),
-        np.arange(count),
-        count,
-        np.diff(boxes, axis=1)[:, 0] / 2,
-        np.array([block.density for block in assembly.blocks]),
-        np.tile([1.0, 0, 0, 0], (count, 1)),
-        studs=Studs(joints, assembly.joint.press),
-    )
 
 
 def fall(assembly: Assembly) -> float:

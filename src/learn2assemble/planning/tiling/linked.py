@@ -55,10 +55,7 @@ def linked_cover(layers: list[LayerCells], seconds: float) -> list[Cover] | None
     bricks = [_bricks(layer) for layer in layers]
     total = sum(int(layer.cells.sum()) for layer in layers)
     across: list[np.ndarray] = []
-    for layer, some in zip(layers, bricks, strict=True):
-        inside = [np.flatnonzero(_boxed(layer.cells.shape, *one)) for one in some[:, :4].tolist()]
-        cell = np.concatenate([np.empty(0, np.int64), *inside])
-        owner = np.repeat(np.arange(len(inside)), [len(one) for one in inside])
+    for layer, (some, owner, cell) in zip(layers, bricks, strict=True):
         wanted = np.flatnonzero(layer.cells)
         if len(np.unique(cell)) < len(wanted):
             raise NoCover
@@ -82,27 +79,29 @@ def linked_cover(layers: list[LayerCells], seconds: float) -> list[Cover] | None
         raise NoCover
     if answer.x is None:
         return None
-    taken = np.split(answer.x > 0.5, np.cumsum([len(some) for some in bricks])[:-1])
+    taken = np.split(answer.x > 0.5, np.cumsum([len(some) for some, _, _ in bricks])[:-1])
     return [
         [(i, j, a, b) for i, j, a, b, _ in some[mine].tolist()]
-        for some, mine in zip(bricks, taken, strict=True)
+        for (some, _, _), mine in zip(bricks, taken, strict=True)
     ]
 
 
-def _bricks(layer: LayerCells) -> np.ndarray:
-    """int64[n, 5]: first cell and extents of all bricks that have linked cells, and how many."""
+def _bricks(layer: LayerCells) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All bricks that have linked cells: int64[n, 5], first cell, extents, and how many; and their
+    cells, int64[m] each: of which brick, and its number in the layer, row by row."""
     found = [np.empty((0, 5), np.int64)]
+    owner, cell = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+    count, wide = 0, layer.cells.shape[1]
     for a, b in layer.sizes.tolist():
-        if a <= layer.cells.shape[0] and b <= layer.cells.shape[1]:
+        if a <= layer.cells.shape[0] and b <= wide:
             there = sliding_window_view(layer.cells, (a, b)).all((2, 3))
             links = sliding_window_view(layer.linked & layer.cells, (a, b)).sum((2, 3))
             at = np.argwhere(there & (links > 0))
             size = np.broadcast_to([a, b], at.shape)
             found.append(np.column_stack([at, size, links[tuple(at.T)]]))
-    return np.concatenate(found)
-
-
-def _boxed(shape: tuple[int, ...], i: int, j: int, a: int, b: int) -> np.ndarray:
-    box = np.zeros(shape, bool)
-    box[i : i + a, j : j + b] = True
-    return box
+            inside = (wide * np.arange(a)[:, None] + np.arange(b)).reshape(-1)
+            cell.append((at @ [wide, 1])[:, None] + inside)
+            owner.append(np.repeat(count + np.arange(len(at)), a * b))
+            count += len(at)
+    cells = np.concatenate([some.reshape(-1) for some in cell])
+    return np.concatenate(found), np.concatenate(owner), cells
