@@ -62,6 +62,14 @@ _NO_HAND = "network.hand=false"
 _AGAIN = ("learning_rate=0.001", "final_learning_rate=0.00003", "epsilon_samples=1")
 """A later stage: half the learning rate, and no more exploration than the first ends with."""
 
+_IN_FAST_MODE = (
+    "physics=published",
+    "num_samples=60000",
+    "epsilon_samples=1",
+    "updates_per_round=50",
+)
+"""A later stage in the authors' fast mode, with two gradient steps for each of theirs."""
+
 
 def _published(name: str, task: str, *changes: str) -> Recipe:
     return Recipe(name, task, (RecipeStage(changes=changes),))
@@ -82,6 +90,12 @@ _ALL = (
     Recipe("robot-four-sided-paper", _ROBOT_FOUR, (RecipeStage("paper"),)),
     Recipe("robot-four-sided", _ROBOT_FOUR, (RecipeStage(), RecipeStage(changes=_AGAIN))),
     Recipe("robot-objects-paper", _ROBOT_OBJECTS, (RecipeStage("paper"),)),
+    Recipe(
+        "robot-objects-fast-mode",
+        _ROBOT_OBJECTS,
+        (RecipeStage("paper"), RecipeStage("paper", _IN_FAST_MODE)),
+        seeds=3,
+    ),
     Recipe("robot-one-sided-paper", _ROBOT_ONE, (RecipeStage("paper"),)),
     _published("robot-objects", _ROBOT_OBJECTS),
     _published("robot-one-sided", _ROBOT_ONE, _SHORTER),

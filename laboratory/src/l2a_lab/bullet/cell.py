@@ -113,7 +113,7 @@ class PublishedCell:
         self._before = self._now = self.world.centres()
         self._speed = np.zeros_like(self._now)
         self._travel = np.zeros(len(self._now))
-        self._integral = np.zeros(len(self.world.joints))
+        self._integral = np.zeros(len(self.arm.joints))
         if top is None:
             gap = np.abs(scene.position[: scene.num_placed] - _over(move.target, -EDGE))
             top = bool((gap.max(1) < HALF).any())
@@ -234,8 +234,7 @@ class PublishedCell:
                 left = point - self._now[self._move.cell]
                 near = near or np.abs(left).max() < NEAR
                 if near:
-                    rows = self.world.spatial()
-                    self._integral += rows.T @ np.linalg.solve(rows @ rows.T, left)
+                    self.world.correct(left, self._integral)
                     command = command + INTEGRAL_GAIN * self._integral
                 else:
                     self._integral[:] = 0

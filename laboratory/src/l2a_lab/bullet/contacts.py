@@ -84,8 +84,16 @@ def inverse_mass_matrix(inverse_mass, inverse_inertia, rotation, awake):
     out = np.zeros((len(awake), 6, 6))
     for b in range(FIRST, len(awake)):
         if awake[b]:
-            out[b, :3, :3] = inverse_mass[b] * np.eye(3)
-            out[b, 3:, 3:] = rotation[b] @ inverse_inertia[b] @ rotation[b].T
+            for i in range(3):
+                out[b, i, i] = inverse_mass[b]
+                for j in range(3):
+                    total = 0.0
+                    for k in range(3):
+                        for m in range(3):
+                            total += (
+                                rotation[b, i, k] * inverse_inertia[b, k, m] * rotation[b, j, m]
+                            )
+                    out[b, 3 + i, 3 + j] = total
     return out
 
 
@@ -165,10 +173,19 @@ def _local(point, position, rotation, out):
 
 
 @njit(cache=True)
-def _cross_size(a, b):
-    x = a[1] * b[2] - a[2] * b[1]
-    y = a[2] * b[0] - a[0] * b[2]
-    z = a[0] * b[1] - a[1] * b[0]
+def _world(point, position, rotation, out):
+    for i in range(3):
+        out[i] = position[i]
+        for k in range(3):
+            out[i] += rotation[i, k] * point[k]
+
+
+@njit(cache=True)
+def _cross_size(a, b, c, d):
+    """Squared length of (a - b) x (c - d)."""
+    ax, ay, az = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    bx, by, bz = c[0] - d[0], c[1] - d[1], c[2] - d[2]
+    x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     return x * x + y * y + z * z
 
 
@@ -178,7 +195,9 @@ def _place_for(one, distance, count, point, depth):
     loss costs least area, but never the deepest."""
     best, nearest = -1, BREAKING**2
     for k in range(count):
-        gap = np.sum((one[k] - point) ** 2)
+        gap = 0.0
+        for i in range(3):
+            gap += (one[k, i] - point[i]) ** 2
         if gap < nearest:
             nearest, best = gap, k
     if best >= 0:
@@ -195,7 +214,7 @@ def _place_for(one, distance, count, point, depth):
         if k == deepest:
             continue
         a, b, c = others[k]
-        size = _cross_size(point - one[a], one[b] - one[c])
+        size = _cross_size(point, one[a], one[b], one[c])
         if size > area:
             area, best = size, k
     return best
@@ -213,7 +232,7 @@ def update_manifolds(m, step, shapes, body, point, normal, distance, position, r
         normal: float64[c, 3] from first to second; distance: float64[c] [m].
         position: float64[b, 3] [m]; rotation: float64[b, 3, 3].
     """
-    one, two, end = np.empty(3), np.empty(3), np.empty(3)
+    one, two, end, gap = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for c in range(len(shapes)):
         i, j = shapes[c, 0], shapes[c, 1]
         a, b = body[i], body[j]
@@ -242,11 +261,11 @@ def update_manifolds(m, step, shapes, body, point, normal, distance, position, r
         a, b = body[m.pair[row, 0]], body[m.pair[row, 1]]
         k = m.count[row] - 1
         while k >= 0:
-            first = position[a] + rotation[a] @ m.one[row, k]
-            second = position[b] + rotation[b] @ m.two[row, k]
-            gap = second - first
+            _world(m.one[row, k], position[a], rotation[a], one)
+            _world(m.two[row, k], position[b], rotation[b], two)
             along = 0.0
             for i in range(3):
+                gap[i] = two[i] - one[i]
                 along += gap[i] * m.normal[row, k, i]
             slid = 0.0
             for i in range(3):
@@ -297,8 +316,8 @@ def contact_points(m, body, position, rotation, awake):
         a, b = body[m.pair[row, 0]], body[m.pair[row, 1]]
         for k in range(m.count[row]):
             out.first[c], out.second[c] = a, b
-            out.end_1[c] = position[a] + rotation[a] @ m.one[row, k]
-            out.end_2[c] = position[b] + rotation[b] @ m.two[row, k]
+            _world(m.one[row, k], position[a], rotation[a], out.end_1[c])
+            _world(m.two[row, k], position[b], rotation[b], out.end_2[c])
             out.distance[c] = m.distance[row, k]
             n = out.frame[c, 0]
             n[:] = m.normal[row, k]
@@ -309,6 +328,9 @@ def contact_points(m, body, position, rotation, awake):
             else:
                 size = np.sqrt(n[0] ** 2 + n[1] ** 2)
                 out.frame[c, 1] = -n[1] / size, n[0] / size, 0.0
-            out.frame[c, 2] = np.cross(n, out.frame[c, 1])
+            t, last = out.frame[c, 1], out.frame[c, 2]
+            last[0] = n[1] * t[2] - n[2] * t[1]
+            last[1] = n[2] * t[0] - n[0] * t[2]
+            last[2] = n[0] * t[1] - n[1] * t[0]
             c += 1
     return out

@@ -81,17 +81,43 @@ class HandHold(NamedTuple):
 
 
 @njit(cache=True)
-def _dot(a, b):
-    total = 0.0
-    for i in range(a.shape[0]):
-        total += a[i] * b[i]
-    return total
+def _dot(a, i, b, j):
+    """Of row i of float64[r, 6] and row j of another; written out, as all sweeps are made of it."""
+    return (
+        a[i, 0] * b[j, 0]
+        + a[i, 1] * b[j, 1]
+        + a[i, 2] * b[j, 2]
+        + a[i, 3] * b[j, 3]
+        + a[i, 4] * b[j, 4]
+        + a[i, 5] * b[j, 5]
+    )
 
 
 @njit(cache=True)
-def _add(a, factor, b):
-    for i in range(a.shape[0]):
-        a[i] += factor * b[i]
+def _add(a, i, factor, b, j):
+    """To row i of float64[r, 6] a multiple of row j of another."""
+    a[i, 0] += factor * b[j, 0]
+    a[i, 1] += factor * b[j, 1]
+    a[i, 2] += factor * b[j, 2]
+    a[i, 3] += factor * b[j, 3]
+    a[i, 4] += factor * b[j, 4]
+    a[i, 5] += factor * b[j, 5]
+
+
+@njit(cache=True)
+def _add_rates(rates, factor, reach, row):
+    for i in range(rates.shape[0]):
+        rates[i] += factor * reach[row, i]
+
+
+@njit(cache=True)
+def _times(matrix, vector, out):
+    """Small products without a call of BLAS, which takes longer than they do."""
+    for i in range(matrix.shape[0]):
+        total = 0.0
+        for k in range(matrix.shape[1]):
+            total += matrix[i, k] * vector[k]
+        out[i] = total
 
 
 @njit(cache=True)
@@ -118,9 +144,12 @@ def resolve(centre, twist, rates, inverse_mass, contacts, drive, hold, timestep)
         timestep: [s].
     """
     count, n = len(contacts.first), len(rates)
-    arm = drive.inverse @ drive.jacobian.T
-    inverse_mass[HAND] = drive.jacobian @ arm
-    hand_turn = np.ascontiguousarray(arm)
+    # M^-1 J^T: what a wrench on the hand does to the rates, and a joint to the hand.
+    arm = np.empty((n, 6))
+    for k in range(6):
+        _times(drive.inverse, drive.jacobian[k], arm[:, k])
+    for k in range(6):
+        _times(drive.jacobian, arm[:, k], inverse_mass[HAND, :, k])
     # Rows of contacts, then six of the hold: wrenches on both bodies, and what they do.
     total = 3 * count + 6
     one, two = np.zeros((total, 6)), np.zeros((total, 6))
@@ -133,12 +162,13 @@ def resolve(centre, twist, rates, inverse_mass, contacts, drive, hold, timestep)
             row = 3 * c + k
             _wrench(contacts.frame[c, k], contacts.end_1[c], centre[a], -1.0, one[row])
             _wrench(contacts.frame[c, k], contacts.end_2[c], centre[b], 1.0, two[row])
-            effect_1[row], effect_2[row] = (inverse_mass[a] @ one[row], inverse_mass[b] @ two[row])
-            mass[row] = 1.0 / (_dot(one[row], effect_1[row]) + _dot(two[row], effect_2[row]))
+            _times(inverse_mass[a], one[row], effect_1[row])
+            _times(inverse_mass[b], two[row], effect_2[row])
+            mass[row] = 1.0 / (_dot(one, row, effect_1, row) + _dot(two, row, effect_2, row))
             if a == HAND:
-                reach[row] = arm @ one[row]
+                _times(arm, one[row], reach[row])
             elif b == HAND:
-                reach[row] = arm @ two[row]
+                _times(arm, two[row], reach[row])
         depth = contacts.distance[c] + SLOP
         least[c] = -depth / timestep if depth > 0 else -CONTACT_SHARE * depth / timestep
     first_hold, held = 3 * count, hold.body
@@ -151,50 +181,67 @@ def resolve(centre, twist, rates, inverse_mass, contacts, drive, hold, timestep)
                 _wrench(axes[k], hold.point, centre[held], 1.0, two[row])
             else:
                 one[row, k], two[row, k] = -1.0, 1.0
-            effect_1[row], effect_2[row] = (
-                inverse_mass[HAND] @ one[row],
-                inverse_mass[held] @ two[row],
-            )
-            reach[row] = arm @ one[row]
-            mass[row] = 1.0 / (_dot(one[row], effect_1[row]) + _dot(two[row], effect_2[row]))
-    motor, stop = np.zeros(n), np.zeros(n)
+            _times(inverse_mass[HAND], one[row], effect_1[row])
+            _times(inverse_mass[held], two[row], effect_2[row])
+            _times(arm, one[row], reach[row])
+            mass[row] = 1.0 / (_dot(one, row, effect_1, row) + _dot(two, row, effect_2, row))
+    # Of a named tuple, every look at an array counts its users again: taken out once.
+    inverse, first, second = drive.inverse, contacts.first, contacts.second
+    goal, gain = _goals(drive, timestep)
+    most_motor, hold_error = drive.impulse, hold.error
+    motor = np.zeros(2 * n)
+    guided = 2 * n + (6 if held >= 0 else 0)
     for sweep in range(SWEEPS):
         change = 0.0
-        guided = 2 * n + (6 if held >= 0 else 0)
         for number in range(guided):
             # Motors, stops, hold, and every other time backwards.
             index = number if sweep % 2 else guided - 1 - number
             if index < 2 * n:
-                moved = _joint(index, drive, rates, twist[HAND], hand_turn, motor, stop, timestep)
+                i = index % n
+                if gain[index] == 0.0:
+                    continue
+                new = motor[index] + (goal[index] - rates[i]) * gain[index]
+                if index < n:
+                    new = min(max(new, -most_motor), most_motor)
+                elif goal[index] > 0:
+                    new = max(new, 0.0)
+                else:
+                    new = min(new, 0.0)
+                extra = new - motor[index]
+                motor[index] = new
+                _add_rates(rates, extra, inverse, i)
+                # The mass matrix is symmetric: a row of M^-1 J^T is what a joint does to the hand.
+                _add(twist, HAND, extra, arm, i)
+                moved = extra / gain[index]
             else:
                 k = index - 2 * n
                 row = first_hold + k
-                now = _dot(one[row], twist[HAND]) + _dot(two[row], twist[held])
-                moved = HOLD_SHARE * hold.error[k] / timestep - now
+                now = _dot(one, row, twist, HAND) + _dot(two, row, twist, held)
+                moved = HOLD_SHARE * hold_error[k] / timestep - now
                 extra = moved * mass[row]
-                _add(twist[HAND], extra, effect_1[row])
-                _add(twist[held], extra, effect_2[row])
-                _add(rates, extra, reach[row])
+                _add(twist, HAND, extra, effect_1, row)
+                _add(twist, held, extra, effect_2, row)
+                _add_rates(rates, extra, reach, row)
             change = max(change, moved * moved)
         for c in range(count):
-            a, b, row = contacts.first[c], contacts.second[c], 3 * c
-            now = _dot(one[row], twist[a]) + _dot(two[row], twist[b])
+            a, b, row = first[c], second[c], 3 * c
+            now = _dot(one, row, twist, a) + _dot(two, row, twist, b)
             new = max(impulse[row] + (least[c] - now) * mass[row], 0.0)
             extra = new - impulse[row]
             if extra != 0:
                 impulse[row] = new
-                _apply(a, b, extra, effect_1[row], effect_2[row], reach[row], twist, rates)
+                _apply(a, b, extra, effect_1, effect_2, reach, row, twist, rates)
                 change = max(change, (extra / mass[row]) ** 2)
         for c in range(count):
             row = 3 * c
             if impulse[row] <= 0 and impulse[row + 1] == 0 and impulse[row + 2] == 0:
                 continue
-            a, b = contacts.first[c], contacts.second[c]
+            a, b = first[c], second[c]
             x = impulse[row + 1] - mass[row + 1] * (
-                _dot(one[row + 1], twist[a]) + _dot(two[row + 1], twist[b])
+                _dot(one, row + 1, twist, a) + _dot(two, row + 1, twist, b)
             )
             y = impulse[row + 2] - mass[row + 2] * (
-                _dot(one[row + 2], twist[a]) + _dot(two[row + 2], twist[b])
+                _dot(one, row + 2, twist, a) + _dot(two, row + 2, twist, b)
             )
             size, most = np.sqrt(x * x + y * y), FRICTION * impulse[row]
             if size > most:
@@ -203,45 +250,32 @@ def resolve(centre, twist, rates, inverse_mass, contacts, drive, hold, timestep)
                 new = x if k == 1 else y
                 extra = new - impulse[row + k]
                 impulse[row + k] = new
-                _apply(
-                    a, b, extra, effect_1[row + k], effect_2[row + k], reach[row + k], twist, rates
-                )
+                _apply(a, b, extra, effect_1, effect_2, reach, row + k, twist, rates)
                 change = max(change, (extra / mass[row + k]) ** 2)
         if change < RESIDUAL:
             break
 
 
 @njit(cache=True)
-def _apply(a, b, extra, effect_1, effect_2, reach, twist, rates):
-    _add(twist[a], extra, effect_1)
-    _add(twist[b], extra, effect_2)
+def _apply(a, b, extra, effect_1, effect_2, reach, row, twist, rates):
+    _add(twist, a, extra, effect_1, row)
+    _add(twist, b, extra, effect_2, row)
     if a == HAND or b == HAND:
-        _add(rates, extra, reach)
+        _add_rates(rates, extra, reach, row)
 
 
 @njit(cache=True)
-def _joint(index, drive, rates, hand, hand_turn, motor, stop, timestep):
-    """One motor or stop; returns the change of the joint's rate."""
-    n = len(rates)
-    i = index % n
-    own = drive.inverse[i, i]
-    if index < n:
-        wanted = MOTOR_SHARE * (drive.command[i] - drive.joints[i]) / timestep
-        new = motor[i] + (wanted - rates[i]) / own
-        new = min(max(new, -drive.impulse), drive.impulse)
-        extra = new - motor[i]
-        motor[i] = new
-    else:
+def _goals(drive, timestep):
+    """What rates the motors and then the stops want, float64[2 n] [rad/s], and the impulse for a
+    change of the rate of 1 rad/s; 0 for the stop of a joint that is within its limits."""
+    n = len(drive.joints)
+    goal, gain = np.zeros(2 * n), np.zeros(2 * n)
+    for i in range(n):
+        own = 1.0 / drive.inverse[i, i]
+        goal[i] = MOTOR_SHARE * (drive.command[i] - drive.joints[i]) / timestep
+        gain[i] = own
         below, above = drive.lower[i] - drive.joints[i], drive.joints[i] - drive.upper[i]
-        if below > 0:
-            new = max(stop[i] + (STOP_SHARE * below / timestep - rates[i]) / own, 0.0)
-        elif above > 0:
-            new = min(stop[i] + (-STOP_SHARE * above / timestep - rates[i]) / own, 0.0)
-        else:
-            return 0.0
-        extra = new - stop[i]
-        stop[i] = new
-    _add(rates, extra, drive.inverse[i])
-    # The mass matrix is symmetric, so a row of M^-1 J^T is what a joint does to the hand.
-    _add(hand, extra, hand_turn[i])
-    return extra * own
+        if below > 0 or above > 0:
+            goal[n + i] = STOP_SHARE * (below if below > 0 else -above) / timestep
+            gain[n + i] = own
+    return goal, gain

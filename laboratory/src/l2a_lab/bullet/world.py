@@ -13,34 +13,27 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from l2a_lab.bullet.contacts import (
-    BREAKING,
-    REST,
-    Manifolds,
-    accelerate,
-    contact_points,
-    empty_manifolds,
-    integrate,
-    inverse_mass_matrix,
-    touching_bodies,
-    update_manifolds,
-    wake,
+from l2a_lab.bullet.contacts import BREAKING, REST, Manifolds, empty_manifolds
+from l2a_lab.bullet.resolution import FIRST, HAND
+from l2a_lab.bullet.step import (
+    Bodies,
+    Held,
+    Links,
+    Motors,
+    advance,
+    correction,
+    fill_centres,
+    fill_poses,
+    follow,
 )
-from l2a_lab.bullet.resolution import FIRST, HAND, Drive, HandHold, resolve
 from learn2assemble.constants import HALF, MASS
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.rotations import (
-    quaternion_matrices,
-    rotation_vector,
-    yaw_matrix,
-    yaw_quaternion,
-)
+from learn2assemble.geometry.rotations import quaternion_matrices, yaw_matrix, yaw_quaternion
 from learn2assemble.robot.arm import PICTURE_GROUP, Arm, arm_model, arm_spec
 from learn2assemble.robot.grasps import Attitude
-from learn2assemble.robot.kinematics import forward, get_chain, jacobian
+from learn2assemble.robot.kinematics import get_chain, joint_frames
 from learn2assemble.robot.moves import GAP, Scene, object_boxes
 from learn2assemble.robot.scene import add_ground, add_object, rotation_matrix
-from learn2assemble.tasks.world.blocks import GRAVITY
 
 TIMESTEP = 0.004
 """[s]."""
@@ -186,6 +179,11 @@ class _BodyShapes(NamedTuple):
     """float64[b] [1/kg]."""
     inverse_inertia: np.ndarray
     """float64[b, 3, 3]."""
+    poses: np.ndarray
+    """float64[b - 1, 7]: those of ``data``, to be written to."""
+
+
+NOTHING = Held(-1, np.zeros(3), np.eye(3))
 
 
 class BulletWorld:
@@ -205,26 +203,18 @@ class BulletWorld:
         if arm.name != ARM:
             raise InputError("arm of the published cell", arm.name, ARM)
         self.arm, self.chain = arm, get_chain(arm)
-        spec = arm_spec(arm)
-        spec.option.gravity = [0, 0, -GRAVITY]
-        self._model = m = spec.compile()
-        for name, (mass, centre, inertia) in LINKS.items():
-            body = m.body(name).id
-            m.body_mass[body], m.body_ipos[body], m.body_inertia[body] = mass, centre, inertia
-            m.body_iquat[body] = 1, 0, 0, 0
-        m.dof_armature[:], m.dof_damping[:], m.body_gravcomp[:] = 0, 0, 0
-        self._data = mujoco.MjData(m)
-        mujoco.mj_setConst(m, self._data)
-        self._qpos = np.array([m.joint(name).qposadr[0] for name in arm.joints])
-        self._dof = np.array([m.joint(name).dofadr[0] for name in arm.joints])
-        self._mass = np.empty((m.nv, m.nv))
+        self._links = _links(arm)
+        self._motors = Motors(HOME.copy(), np.zeros(7), HOME.copy(), LOWER, UPPER)
         self._parts = hand_parts(arm, opening)
         self._known: dict[tuple[Cells, ...], _BodyShapes] = {}
 
+    @property
+    def joints(self) -> np.ndarray:
+        """float64[7] [rad]."""
+        return self._motors.joints.copy()
+
     def place(self, scene: Scene) -> None:
         """Start over: the objects of ``scene`` and the arm at home, at rest; motors off."""
-        self.jump(HOME)
-        self._command, self._impulse = HOME.copy(), 0.0
         objects, origin, yaw = self._group(scene)
         if objects not in self._known:
             if len(self._known) >= MAX_MODELS:
@@ -232,88 +222,70 @@ class BulletWorld:
             self._known[objects] = _shapes(compile_shapes(self._parts, objects))
         self._shapes = s = self._known[objects]
         count = len(s.centre)
-        self._position, self._quaternion = np.zeros((count, 3)), np.zeros((count, 4))
-        self._quaternion[:, 0] = 1
-        self._quaternion[FIRST:] = yaw_quaternion(yaw)
-        self._rotation = quaternion_matrices(self._quaternion)
-        self._position[FIRST:] = origin
-        self._position += np.einsum("bij,bj->bi", self._rotation, s.centre)
-        self._twist = np.zeros((count, 6))
-        self._still = np.full(count, REST)
+        position, quaternion = np.zeros((count, 3)), np.zeros((count, 4))
+        quaternion[:, 0] = 1
+        quaternion[FIRST:] = yaw_quaternion(yaw)
+        rotation = quaternion_matrices(quaternion)
+        position[FIRST:] = origin
+        position += np.einsum("bij,bj->bi", rotation, s.centre)
+        twist, still = np.zeros((count, 6)), np.full(count, REST)
+        self._bodies = Bodies(position, quaternion, rotation, twist, still)
+        self._away = self._offset - s.centre[self._body]
         self._manifolds: Manifolds = empty_manifolds(len(s.body), 4 * len(s.body))
         self._touching = np.empty((0, 2), np.int64)
-        self._clock, self._held = 0, -1
-        self._hold_offset, self._hold_turn = np.zeros(3), np.eye(3)
+        self._clock, self._held = 0, NOTHING
+        self.jump(HOME)
+        self._motors.command[:], self._impulse = HOME, 0.0
 
     def jump(self, joints: np.ndarray) -> None:
         """Put the joints somewhere [rad], at rest; the motors keep the command they had."""
-        self.joints, self._rates = joints.copy(), np.zeros(7)
+        self._motors.joints[:], self._motors.rates[:] = joints, 0.0
+        follow(self.chain, self._motors.joints, self._bodies)
 
     def drive(self, command: np.ndarray) -> None:
         """Where the motors want the joints from now on [rad]; before, they give way."""
-        self._command, self._impulse = command, TORQUE * TIMESTEP
+        self._motors.command[:], self._impulse = command, TORQUE * TIMESTEP
 
-    def spatial(self) -> np.ndarray:
-        """float64[3, 7]: velocity of that point of the hand which is at the arm's base.
-
-        The integral term of the published servo uses these rows for those of the
-        tool, so errors are corrected in directions a little beside their own.
-        """
-        jac = jacobian(self.chain, self.joints)
-        away = forward(self.chain, self.joints)[0] - self.arm.base_position
-        return jac[:3] + np.cross(away, jac[3:].T).T
+    def correct(self, left: np.ndarray, total: np.ndarray) -> None:
+        """Add what moves the hand by ``left``, float64[3] [m], to ``total``, float64[7] [rad]; see
+        :func:`~l2a_lab.bullet.step.correction`."""
+        base = np.asarray(self.arm.base_position, float)
+        correction(self.chain, self._motors.joints, base, left, total)
 
     def step(self) -> None:
         """One time step of arm and objects."""
         s = self._shapes
-        self._follow()
-        self._find_contacts()
-        self._touching = touching_bodies(self._manifolds, s.body)
-        awake = wake(self._still, self._touching, self._held)
-        contacts = contact_points(self._manifolds, s.body, self._position, self._rotation, awake)
-        jac, inverse = jacobian(self.chain, self.joints), self._inverse_mass()
-        accelerate(self._twist, awake, TIMESTEP)
-        self._twist[HAND] = jac @ self._rates
-        drive = Drive(jac, inverse, self.joints, self._command, LOWER, UPPER, self._impulse)
-        resolve(
-            self._position,
-            self._twist,
-            self._rates,
-            inverse_mass_matrix(s.inverse_mass, s.inverse_inertia, self._rotation, awake),
-            contacts,
-            drive,
-            self._hold(),
+        data = s.data
+        fill_poses(self._bodies, s.centre, s.poses)
+        mujoco.mj_kinematics(s.model, data)
+        mujoco.mj_collision(s.model, data)
+        found = data.contact
+        self._clock += 1
+        self._touching = advance(
+            self.chain,
+            self._links,
+            self._motors,
+            self._impulse,
+            self._bodies,
+            self._held,
+            s.inverse_mass,
+            s.inverse_inertia,
+            self._manifolds,
+            s.body,
+            self._clock,
+            (found.geom, found.dist, found.pos, found.frame),
+            SKIN,
             TIMESTEP,
         )
-        integrate(self._position, self._quaternion, self._twist, awake, self._still, TIMESTEP)
-        self.joints = self.joints + TIMESTEP * self._rates
-        self._follow()
-        self._rotation = quaternion_matrices(self._quaternion)
-
-    def _inverse_mass(self) -> np.ndarray:
-        """Inverse of the arm's mass matrix, float64[7, 7]; lets gravity act on the rates."""
-        m, d = self._model, self._data
-        d.qpos[self._qpos], d.qvel[self._dof] = self.joints, self._rates
-        mujoco.mj_kinematics(m, d)
-        mujoco.mj_comPos(m, d)
-        mujoco.mj_crb(m, d)
-        mujoco.mj_comVel(m, d)
-        mujoco.mj_rne(m, d, 0, d.qfrc_bias)
-        mujoco.mj_fullM(m, d, self._mass)
-        inverse = np.linalg.inv(self._mass[np.ix_(self._dof, self._dof)])
-        self._rates = self._rates - TIMESTEP * inverse @ d.qfrc_bias[self._dof]
-        return inverse
 
     def grip(self, cell: int) -> None:
         """Fix the object of a cell to the hand: the cell's centre to the tool point, axes kept."""
-        body = int(self._body[cell])
-        self._held = body
-        self._hold_offset = self._offset[cell] - self._shapes.centre[body]
-        self._hold_turn = self._rotation[HAND].T @ self._rotation[body]
+        body, rotation = int(self._body[cell]), self._bodies.rotation
+        self._held = Held(body, self._away[cell], rotation[HAND].T @ rotation[body])
 
     def release(self) -> None:
         """Let go."""
-        self._held = -1
+        self._held = NOTHING
 
     def touches(self, body: int, cells: np.ndarray) -> bool:
         """Whether hand or table touched the object of any of these cells in the last step."""
@@ -322,55 +294,15 @@ class BulletWorld:
 
     def centres(self) -> np.ndarray:
         """float64[n, 3]: of all cells [m]."""
-        away = self._offset - self._shapes.centre[self._body]
-        return self._position[self._body] + np.einsum(
-            "nij,nj->ni", self._rotation[self._body], away
-        )
+        out = np.empty((len(self._body), 3))
+        fill_centres(self._bodies, self._body, self._away, out)
+        return out
 
     def yaws(self) -> np.ndarray:
         """float64[n]: rotation of all cells about z [rad]."""
-        x, y = self._rotation[self._body, 0, 0], self._rotation[self._body, 1, 0]
+        rotation = self._bodies.rotation[self._body]
+        x, y = rotation[:, 0, 0], rotation[:, 1, 0]
         return np.arctan2(y, x)
-
-    def _follow(self) -> None:
-        """The hand is where the joints take it."""
-        position, rotation = forward(self.chain, self.joints)
-        self._position[HAND], self._rotation[HAND] = position, rotation
-        mujoco.mju_mat2Quat(self._quaternion[HAND], np.ascontiguousarray(rotation).ravel())
-
-    def _find_contacts(self) -> None:
-        model, data, body = self._shapes.model, self._shapes.data, self._shapes.body
-        pose = data.qpos.reshape(-1, 7)
-        away = np.einsum("bij,bj->bi", self._rotation, self._shapes.centre)
-        pose[:, :3] = (self._position - away)[HAND:]
-        pose[:, 3:] = self._quaternion[HAND:]
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_collision(model, data)
-        found = data.contact
-        shapes = found.geom.astype(np.int64)
-        distance = found.dist - SKIN * (body[shapes] == HAND).any(1)
-        near = np.flatnonzero(distance < BREAKING)
-        self._clock += 1
-        update_manifolds(
-            self._manifolds,
-            self._clock,
-            shapes[near],
-            body,
-            found.pos[near],
-            found.frame[near, :3],
-            distance[near],
-            self._position,
-            self._rotation,
-        )
-
-    def _hold(self) -> HandHold:
-        error, point = np.zeros(6), np.zeros(3)
-        if self._held >= 0:
-            rotation = self._rotation[self._held]
-            point = self._position[self._held] + rotation @ self._hold_offset
-            error[:3] = self._position[HAND] - point
-            rotation_vector(rotation, self._rotation[HAND] @ self._hold_turn, error[3:])
-        return HandHold(self._held, point, error)
 
     def _group(self, scene: Scene) -> tuple[tuple[Cells, ...], np.ndarray, np.ndarray]:
         """Objects sorted by shape, so that few sets are compiled; origins and yaws."""
@@ -396,16 +328,46 @@ class BulletWorld:
         )
 
 
+def _links(arm: Arm) -> Links:
+    """What the published simulator has between the joints; hand and fingers, as they are at the
+    zero of their joints, go with the last one."""
+    model = arm_spec(arm).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    joints = np.array([float(data.qpos[model.joint(name).qposadr[0]]) for name in arm.joints])
+    n = len(joints)
+    positions, rotations = np.empty((n, 3)), np.empty((n, 3, 3))
+    joint_frames(get_chain(arm), joints, positions, rotations)
+    mass, centre, inertia = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3))
+    parts: list[list[tuple[float, np.ndarray, np.ndarray]]] = [[] for _ in range(n)]
+    for number, (name, (own, middle, moments)) in enumerate(LINKS.items()):
+        body, joint = model.body(name).id, min(number, n - 1)
+        axes = data.xmat[body].reshape(3, 3)
+        at = data.xpos[body] + axes @ np.array(middle)
+        turn = rotations[joint].T @ axes
+        away = rotations[joint].T @ (at - positions[joint])
+        parts[joint].append((own, away, turn @ np.diag(moments) @ turn.T))
+    for joint, bodies in enumerate(parts):
+        mass[joint] = sum(own for own, _, _ in bodies)
+        centre[joint] = sum(own * away for own, away, _ in bodies) / mass[joint]
+        for own, away, moments in bodies:
+            arm_ = away - centre[joint]
+            inertia[joint] += moments + own * (arm_ @ arm_ * np.eye(3) - np.outer(arm_, arm_))
+    return Links(mass, centre, inertia)
+
+
 def _shapes(model: mujoco.MjModel) -> _BodyShapes:
     inverse_mass = np.zeros(model.nbody)
     inverse_mass[FIRST:] = 1 / model.body_mass[FIRST:]
     centre = model.body_ipos.copy()
     centre[:FIRST] = 0
+    data = mujoco.MjData(model)
     return _BodyShapes(
         model,
-        mujoco.MjData(model),
+        data,
         model.geom_bodyid.astype(np.int64),
         centre,
         inverse_mass,
         inverse_inertia(model),
+        data.qpos.reshape(-1, 7),
     )

@@ -67,6 +67,8 @@ class TrainConfig:
         search_budget: expansions of a search in training, one step each; not used by ``dqn``.
         search_weight: w_CE, weight of the search term in the loss, that of the TD term being
             1 - w_CE; not used by ``dqn``.
+        physics: name of what checks placements in training, see
+            :func:`learn2assemble.tasks.checkers.resolve_checker`; empty: the task's own.
     """
 
     method: str = "dqn"
@@ -90,6 +92,7 @@ class TrainConfig:
     augment: bool = False
     search_budget: int = 5
     search_weight: float = 0.5
+    physics: str = ""
 
     def __post_init__(self) -> None:
         check_types(self)

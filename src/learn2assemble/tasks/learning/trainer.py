@@ -210,7 +210,7 @@ class Trainer:
         self.seed = seed
         self.device = device
         self.learner: Learner = METHODS[config.method]
-        self.simulator: Simulator = Simulator(task)
+        self.simulator: Simulator = Simulator(task, config.physics or None)
         self.rng: np.random.Generator = np.random.default_rng([TRAINING_STREAM, seed])
         torch.manual_seed(seed)
         self.online: Network = make_network(config.network).to(device)
