@@ -755,6 +755,7 @@ BAD = [
     BadCall("--set heads that do not divide", train("--set", "network.heads=3"), "a divisor"),
     BadCall("--set no heads", train("--set", "network.heads=0"), "heads"),
     BadCall("--set negative heads", train("--set", "network.heads=-1"), "heads"),
+    BadCall("--set physics misspelt", train("--set", "physics=sttic"), "did you mean 'static'"),
     BadCall("--set a whole network", train("--set", "network=large"), "settings"),
     BadCall("--set a nan weight", train("--set", "dense_weight=nan"), "dense_weight"),
     BadCall(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -22,9 +23,13 @@ from l2a_lab.bullet.contacts import (
 )
 from l2a_lab.bullet.inverse import logarithm, solve_as_published
 from l2a_lab.bullet.resolution import FIRST
+from l2a_lab.bullet.step import arm_dynamics
 from l2a_lab.bullet.world import (
     HOME,
+    LINKS,
+    LOWER,
     TIMESTEP,
+    UPPER,
     BulletWorld,
     hand_parts,
 )
@@ -37,13 +42,14 @@ from l2a_lab.replay import (
 )
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.geometry.rotations import quaternion_matrices
-from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.arm import arm_spec, get_arm
 from learn2assemble.robot.grasps import get_grasps
 from learn2assemble.robot.inverse import IKFailure
-from learn2assemble.robot.kinematics import forward, get_chain, jacobian
+from learn2assemble.robot.kinematics import forward, get_chain, jacobian, joint_frames
 from learn2assemble.robot.moves import Move, Outcome, Scene
 from learn2assemble.tasks.checkers import resolve_checker
 from learn2assemble.tasks.task import get_task
+from learn2assemble.tasks.world.blocks import GRAVITY
 from robot_scenes import cell, scene
 
 AA, AB, BA, BB = get_grasps("paper")
@@ -230,6 +236,36 @@ def test_motors_go_a_twentieth_of_the_way_in_a_step_and_lag_on_a_long_one() -> N
     assert left[0.01] == pytest.approx(0.95**20, abs=5e-3)
     # A radian ahead, 500 N m are not enough at first; the heavier joint is the later one.
     assert 0.95**20 + 0.02 < left[1.0][0] < left[1.0][1] < 0.6
+
+
+def test_dynamics_of_the_arm_are_those_of_mujoco() -> None:
+    arm = get_arm("panda")
+    world, chain = BulletWorld(arm, OPENING), get_chain(arm)
+    spec = arm_spec(arm)
+    spec.option.gravity = [0, 0, -GRAVITY]
+    model = spec.compile()
+    for name, (mass, centre, inertia) in LINKS.items():
+        body = model.body(name).id
+        model.body_mass[body], model.body_ipos[body] = mass, centre
+        model.body_inertia[body], model.body_iquat[body] = inertia, (1, 0, 0, 0)
+    model.dof_armature[:], model.dof_damping[:], model.body_gravcomp[:] = 0, 0, 0
+    data = mujoco.MjData(model)
+    mujoco.mj_setConst(model, data)
+    at = [model.joint(name).qposadr[0] for name in arm.joints]
+    dofs = [model.joint(name).dofadr[0] for name in arm.joints]
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        joints, rates = rng.uniform(LOWER, UPPER), rng.uniform(-2, 2, 7)
+        positions, rotations = np.empty((7, 3)), np.empty((7, 3, 3))
+        joint_frames(chain, joints, positions, rotations)
+        mass, bias = arm_dynamics(world._links, (positions, rotations), rates)
+        data.qpos[:] = data.qvel[:] = 0
+        data.qpos[at], data.qvel[dofs] = joints, rates
+        mujoco.mj_forward(model, data)
+        full = np.empty((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, full)
+        np.testing.assert_allclose(mass, full[np.ix_(dofs, dofs)], atol=1e-9)
+        np.testing.assert_allclose(bias, data.qfrc_bias[dofs], atol=1e-9)
 
 
 def test_stops_push_joints_back() -> None:
