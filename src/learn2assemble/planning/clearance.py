@@ -6,6 +6,7 @@ Convex parts are told apart by the planes of their faces and those along an edge
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +39,18 @@ Parts = tuple[_ConvexSolid, ...]
 """The convex parts of a block."""
 
 
+class _Solids(NamedTuple):
+    """Those of many blocks, one after another."""
+
+    vertices: np.ndarray
+    normals: np.ndarray
+    edges: np.ndarray
+    start: np.ndarray
+    """int64[3, parts + 1]: the first of each part's vertices, normals and edges."""
+    part: np.ndarray
+    """int64[blocks + 1]: the first of each block's parts."""
+
+
 def parts_of(block: Block) -> Parts:
     """The convex parts of a block, as the tests below take them."""
     return tuple(_part(part) for part in ([block] if block.is_convex else convex_parts(block)))
@@ -62,7 +75,6 @@ class Clearance:
         self.depth = depth
         self.lower: np.ndarray = np.array([block.vertices.min(0) for block in blocks])
         self.upper: np.ndarray = np.array([block.vertices.max(0) for block in blocks])
-        self._known: dict[int, Parts] = {}
 
     def leaves(self, block: int, present: np.ndarray, ways: np.ndarray) -> bool:
         """Whether a block can be moved out from among the ``present`` ones (bool[B]).
@@ -114,25 +126,22 @@ class Clearance:
         Args:
             any_one: stop at the first of the others that is hit.
         """
-        hits = np.zeros(len(moves), bool)
         if not len(moves):
-            return hits
-        near, reached = _boxes_met(block, self.lower, self.upper, others, moves)
-        for n, some in zip(near.tolist(), reached, strict=True):
-            some &= ~hits
-            if not some.any():
-                continue
-            for a in self._of(block):
-                for b in self._of(n):
-                    hits[some] |= _deep(*a, *b, moves[some], self.depth)
-            if any_one and hits.any():
-                break
-        return hits
+            return np.zeros(0, bool)
+        return _hits(
+            block, self.lower, self.upper, others, moves, self._solids, self.depth, any_one
+        )
 
-    def _of(self, block: int) -> Parts:
-        if block not in self._known:
-            self._known[block] = parts_of(self.blocks[block])
-        return self._known[block]
+    @cached_property
+    def _solids(self) -> _Solids:
+        """The convex parts of all blocks."""
+        parts = [parts_of(block) for block in self.blocks]
+        every = [part for some in parts for part in some]
+        return _Solids(
+            *(np.concatenate([part[k] for part in every]) for k in range(3)),
+            np.array([np.cumsum([0, *(len(part[k]) for part in every)]) for k in range(3)]),
+            np.cumsum([0, *map(len, parts)]),
+        )
 
 
 class FreeWays:
@@ -229,58 +238,6 @@ def _directions(vectors: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True)
-def _boxes_met(block, lower, upper, others, moves):
-    """Which others have boxes that the box of a block meets on its way, int64[k], and at which
-    moves, bool[k, n]. What is apart along x, y or z is apart."""
-    near = np.empty(len(lower), np.int64)
-    reached = np.zeros((len(lower), len(moves)), np.bool_)
-    count = 0
-    first, last = lower[block].copy(), upper[block].copy()
-    for c in range(3):
-        first[c] += moves[:, c].min()
-        last[c] += moves[:, c].max()
-    for n in range(len(lower)):
-        if not others[n]:
-            continue
-        apart = False
-        for c in range(3):
-            apart |= not (lower[n, c] < last[c] and upper[n, c] > first[c])
-        if apart:
-            continue
-        met = False
-        for k in range(len(moves)):
-            apart = False
-            for c in range(3):
-                move = moves[k, c]
-                apart |= not (lower[n, c] < upper[block, c] + move)
-                apart |= not (upper[n, c] > lower[block, c] + move)
-            reached[count, k] = not apart
-            met |= not apart
-        if met:
-            near[count] = n
-            count += 1
-    return near[:count], reached[:count]
-
-
-@njit(cache=True)
-def _way_out(block, lower, upper, others, way, offset):
-    """How far along a unit vector a block is from an offset on until it is beyond all others."""
-    length = np.inf
-    for c in range(3):
-        if abs(way[c]) <= 1e-9:
-            continue
-        far = -np.inf
-        for n in range(len(lower)):
-            if others[n]:
-                if way[c] > 0:
-                    far = max(far, upper[n, c] - lower[block, c] - offset[c])
-                else:
-                    far = max(far, upper[block, c] + offset[c] - lower[n, c])
-        length = min(length, far / abs(way[c]))
-    return length
-
-
-@njit(cache=True)
 def _deep(points, normals, edges, points2, normals2, edges2, moves, depth):
     """bool[n]: whether the first part, moved by each of float64[n, 3], overlaps the second.
 
@@ -320,6 +277,81 @@ def _deep(points, normals, edges, points2, normals2, edges2, moves, depth):
         if not left:
             break
     return inside
+
+
+@njit(cache=True)
+def _hits(block, lower, upper, others, moves, solids, depth, any_one):
+    """bool[n], see :meth:`Clearance._hits`: what is apart along x, y or z is apart, and only what
+    is not is told apart by its faces and edges.
+
+    Args:
+        block: its number; lower, upper: float64[B, 3], boxes of all blocks [m].
+        others: bool[B]; moves: float64[n, 3] [m]; solids: see :class:`_Solids`.
+        depth: overlap that is rounding [m]; any_one: stop at the first that is hit.
+    """
+    vertices, normals, edges, start, part = solids
+    hits = np.zeros(len(moves), np.bool_)
+    first, last = lower[block].copy(), upper[block].copy()
+    for c in range(3):
+        first[c] += moves[:, c].min()
+        last[c] += moves[:, c].max()
+    met = np.empty(len(moves), np.int64)
+    for n in range(len(lower)):
+        if not others[n]:
+            continue
+        apart = False
+        for c in range(3):
+            apart |= not (lower[n, c] < last[c] and upper[n, c] > first[c])
+        if apart:
+            continue
+        count = 0
+        for k in range(len(moves)):
+            apart = hits[k]
+            for c in range(3):
+                move = moves[k, c]
+                apart |= not (lower[n, c] < upper[block, c] + move)
+                apart |= not (upper[n, c] > lower[block, c] + move)
+            if not apart:
+                met[count] = k
+                count += 1
+        if not count:
+            continue
+        some = moves[met[:count]]
+        for a in range(part[block], part[block + 1]):
+            for b in range(part[n], part[n + 1]):
+                deep = _deep(
+                    vertices[start[0, a] : start[0, a + 1]],
+                    normals[start[1, a] : start[1, a + 1]],
+                    edges[start[2, a] : start[2, a + 1]],
+                    vertices[start[0, b] : start[0, b + 1]],
+                    normals[start[1, b] : start[1, b + 1]],
+                    edges[start[2, b] : start[2, b + 1]],
+                    some,
+                    depth,
+                )
+                for k in range(count):
+                    hits[met[k]] |= deep[k]
+        if any_one and hits.any():
+            break
+    return hits
+
+
+@njit(cache=True)
+def _way_out(block, lower, upper, others, way, offset):
+    """How far along a unit vector a block is from an offset on until it is beyond all others."""
+    length = np.inf
+    for c in range(3):
+        if abs(way[c]) <= 1e-9:
+            continue
+        far = -np.inf
+        for n in range(len(lower)):
+            if others[n]:
+                if way[c] > 0:
+                    far = max(far, upper[n, c] - lower[block, c] - offset[c])
+                else:
+                    far = max(far, upper[block, c] + offset[c] - lower[n, c])
+        length = min(length, far / abs(way[c]))
+    return length
 
 
 def _sphere(count: int) -> np.ndarray:
