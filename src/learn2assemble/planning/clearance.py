@@ -138,7 +138,9 @@ class Clearance:
         parts = [parts_of(block) for block in self.blocks]
         every = [part for some in parts for part in some]
         return _Solids(
-            *(np.concatenate([part[k] for part in every]) for k in range(3)),
+            np.concatenate([part.vertices for part in every]),
+            np.concatenate([part.normals for part in every]),
+            np.concatenate([part.edges for part in every]),
             np.array([np.cumsum([0, *(len(part[k]) for part in every)]) for k in range(3)]),
             np.cumsum([0, *map(len, parts)]),
         )
