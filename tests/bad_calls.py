@@ -912,6 +912,11 @@ BAD = [
     ),
     BadCall("a misspelt file", ["check", "{d}/desing.json"], "design.json'"),
     BadCall("budget without a search", ["eval", TASK, "--budget", "10"], "a search beside it"),
+    BadCall(
+        "looking ahead without a search",
+        ["eval", TASK, "--look-ahead", "rigid"],
+        "a search beside it",
+    ),
     BadCall("restore faults without a search", ["eval", TASK, "--legacy"], "--search NAME"),
     BadCall("seed of 400 digits", ["eval", TASK, "--seed", "1" * 400], "from 0 to 2147483647"),
     BadCall(

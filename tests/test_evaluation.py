@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from learn2assemble.errors import InputError
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Attempt, Outcome
 from learn2assemble.tasks.episode import sample_problem
@@ -18,6 +19,7 @@ from learn2assemble.tasks.evaluation.episodes import (
     BATCH,
     EVALUATION_STREAM,
     Policy,
+    evaluate,
     greedy_policy,
     make_policy,
     run_episodes,
@@ -26,7 +28,7 @@ from learn2assemble.tasks.evaluation.episodes import (
 from learn2assemble.tasks.evaluation.fidelities import compare
 from learn2assemble.tasks.learning.config import TrainConfig
 from learn2assemble.tasks.learning.trainer import TRAINING_STREAM, Trainer
-from learn2assemble.tasks.networks.agent import load_agent
+from learn2assemble.tasks.networks.agent import Agent, load_agent
 from learn2assemble.tasks.networks.config import NetworkConfig
 from learn2assemble.tasks.networks.qnetwork import QNetwork
 from learn2assemble.tasks.physics.rigid import RigidPhysics
@@ -240,6 +242,29 @@ def test_search_beats_a_random_network() -> None:
     policy = make_policy(TINY, network(), SearchConfig(budget=30, epsilon=0.0), 0.0)
     plain = make_policy(TINY, network(), None, 0.0)
     assert run_episodes(TINY, policy, 20, 0).f < run_episodes(TINY, plain, 20, 0).f - 0.3
+
+
+def test_a_search_asks_the_checker_it_looks_ahead_with(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = 0
+    settle = RigidPhysics.settle
+
+    def count(self: RigidPhysics, state: State, rows: np.ndarray) -> np.ndarray:
+        nonlocal asked
+        asked += len(rows)
+        return settle(self, state, rows)
+
+    monkeypatch.setattr(RigidPhysics, "settle", count)
+    agent = Agent("tiny", network(), TINY.name, {})
+    found = {}
+    for ahead in (None, "rigid"):
+        found[ahead] = evaluate(
+            TINY, agent=agent, search="mcts", budget=3, episodes=2, look_ahead=ahead
+        )
+        assert (asked > 0) == (ahead == "rigid")
+    assert [one.look_ahead for one in found.values()] == ["static", "rigid"]
+    assert all(one.metrics.physics == "static" for one in found.values())
+    with pytest.raises(InputError, match="look_ahead"):
+        evaluate(TINY, agent=agent, look_ahead="rigid", episodes=1)
 
 
 def test_the_judge_can_be_rigid() -> None:

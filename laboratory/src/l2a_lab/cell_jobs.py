@@ -82,6 +82,7 @@ def row_cells(table: Table, row: Row, column: int, agents: list[str]) -> list[Ce
             condition.epsilon,
             condition.physics,
             share=share,
+            look_ahead=row.look_ahead if condition.physics == row.look_ahead else "",
         )
         for condition in table.conditions
         for name, share in names.items()

@@ -76,6 +76,7 @@ class Cell:
         seed: of problems and policy.
         share: number of the share of the problems that is played, see :data:`SHARES`; all shares
             are as large as this one.
+        look_ahead: checks the placements that a search tries; empty: the task's own.
     """
 
     task: Task
@@ -86,6 +87,7 @@ class Cell:
     physics: str = "static"
     seed: int = 0
     share: int = 0
+    look_ahead: str = ""
 
     @property
     def path(self) -> str:
@@ -97,6 +99,8 @@ class Cell:
             parts.insert(1, self.policy)
         if self.physics != "static":
             parts.append(self.physics)
+        if self.look_ahead:
+            parts.append(f"ahead-{self.look_ahead}")
         if self.share:
             parts.append(f"share{self.share}")
         return f"cells/{self.task.name}/{'.'.join(parts)}.json"
@@ -190,7 +194,8 @@ def make_cell_policy(cell: Cell, agent_file: str | None) -> Policy:
     if cell.policy == FARTHER and search is not None:
         # One simulation is left for what the wider view finds.
         search = replace(search, budget=search.budget - 1)
-    policy = make_policy(cell.task, network, search, cell.epsilon)
+    ahead = cell.look_ahead or None
+    policy = make_policy(cell.task, network, search, cell.epsilon, look_ahead=ahead)
     if cell.policy == MENDED:
         simulator = Simulator(cell.task)
         return mended_policy(

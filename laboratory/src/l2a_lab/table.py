@@ -103,6 +103,8 @@ class Row:
         policy: what chooses the actions.
         kind: ``method``, ``own`` or ``reference``.
         columns: numbers of the columns it is played in; ``None``: all.
+        look_ahead: checks the placements its search tries where it is also what judges the
+            episode; else, and where empty, the task's own does.
     """
 
     label: str
@@ -116,6 +118,7 @@ class Row:
     policy: str = AGENT
     kind: str = METHOD
     columns: tuple[int, ...] | None = None
+    look_ahead: str = ""
 
     @property
     def name(self) -> str:

@@ -141,6 +141,12 @@ def _rollout(text: str) -> int:
         help="what checks placements: static or rigid; with an arm these stand for its kinematic "
         "workcell, and dynamic and published are others",
     ),
+    arg(
+        "--look-ahead",
+        default=None,
+        metavar="PHYSICS",
+        help="what checks the placements that a search tries (the task's own)",
+    ),
     arm_argument,
     arg("--out", type=named, default=None, help="write the result to this file"),
     learns=True,

@@ -175,17 +175,15 @@ def make_policy(
     epsilon: float,
     *,
     search_model: Callable[[WorldModel], SearchModel] | None = None,
+    look_ahead: str | Physics | None = None,
 ) -> Policy:
     """The policy of a network or another player: plain Q without ``config``, with search otherwise.
 
-    The search always looks ahead with static physics, whatever judges the episode.
-    ``search_model`` may put another model of the world around the exact one.
+    The search looks ahead with static physics, whatever judges the episode, or with
+    ``look_ahead``. ``search_model`` may put another model of the world around the exact one.
     """
-    model = (
-        player.world_model(Simulator(task))
-        if isinstance(player, Player)
-        else WorldModel(Simulator(task), player)
-    )
+    copies = Simulator(task, look_ahead)
+    model = player.world_model(copies) if isinstance(player, Player) else WorldModel(copies, player)
     if config is None or config.budget == 0:
         return greedy_policy(model, epsilon, task.num_actions)
     return search_policy(search_model(model) if search_model else model, config)
@@ -310,6 +308,8 @@ class Evaluation:
     distinct: bool
     legacy: bool
     """Whether the search looked ahead in copies with the published restore faults."""
+    look_ahead: str
+    """What checked the placements that the search tried; empty without a search."""
     epsilon: float
     seed: int
     provenance: dict[str, Any]
@@ -359,6 +359,7 @@ def evaluate(
     physics: str | Physics | None = None,
     arm: str | None = None,
     search_model: Callable[[WorldModel], SearchModel] | None = None,
+    look_ahead: str | Physics | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Evaluation:
     """Let an agent play whole episodes; the paper's metrics.
@@ -381,6 +382,8 @@ def evaluate(
             ``dynamic`` or ``published``.
         arm: builds in place of the task's own, for tasks with a robot.
         search_model: puts another model of the world around the exact one, for searches.
+        look_ahead: checks the placements that a search tries, as ``physics`` does those that are
+            made; by default the task's own, static physics or the kinematic workcell.
         progress: called with the number of episodes finished.
 
     Raises:
@@ -398,6 +401,9 @@ def evaluate(
     config = search_config(search, budget=budget, rollout=rollout, distinct=distinct)
     if config is None and search_model is not None:
         raise InputError("search_model", search_model, "a search beside it")
+    if config is None and look_ahead is not None:
+        raise InputError("look_ahead", look_ahead, "a search beside it")
+    ahead = resolve_checker(look_ahead, task)
     if config is not None and epsilon is not None:
         config = replace(config, epsilon=epsilon)
     elif epsilon is None:
@@ -410,7 +416,9 @@ def evaluate(
         raise InputError("agent", agent, "an agent, its name or its file")
     with one_thread():
         player = agent.network if isinstance(agent, Agent) else agent
-        policy = make_policy(task, player, config, epsilon, search_model=search_model)
+        policy = make_policy(
+            task, player, config, epsilon, search_model=search_model, look_ahead=ahead
+        )
         metrics = run_episodes(task, policy, episodes, seed, checker, progress)
         return Evaluation(
             metrics=metrics,
@@ -421,6 +429,7 @@ def evaluate(
             rollout=config.rollout if config else 0,
             distinct=bool(config and config.distinct),
             legacy=search_model is not None and search_model is SEARCH_MODELS.get("published"),
+            look_ahead=ahead.name if config else "",
             epsilon=epsilon,
             seed=seed,
             provenance=provenance("cpu"),
