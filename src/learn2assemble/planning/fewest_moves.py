@@ -10,6 +10,9 @@ import numpy as np
 from learn2assemble.linear_programs import Clock, Model, solve
 from learn2assemble.planning.changeover import Changeover
 
+_MOMENTS = (3, 12)
+"""Of an order, looked at before all of them are."""
+
 
 def fewest_moves(change: Changeover, clock: Clock) -> int:
     """A number of moves that no order without help goes below.
@@ -21,19 +24,21 @@ def fewest_moves(change: Changeover, clock: Clock) -> int:
     ``|R| + |P| - d`` moves, where ``d`` counts those that are both the first taking of a block of
     ``R`` and the last placing of one of ``P``. Both are of one kind.
 
-    For every ``j``, look at the moment after ``j`` blocks of ``P`` have been placed for the last
-    time, and let ``X`` be what of ``R`` has been taken and ``Y`` what of ``P`` has been placed
-    until then. A move that counts for ``d`` has both ends before that moment or both after it: of
-    each kind there are at most ``min(|X|, |Y|) + min(|R| - |X|, |P| - |Y|)``. And as no two blocks
-    overlap and none comes or goes while another lies on it,
+    Look at the moments after ``j`` blocks of ``P`` have been placed for the last time, for some or
+    all ``j``. For each let ``X`` be what of ``R`` has been taken until then, and ``Y`` what of
+    ``P`` has been placed for the last time. A move that counts for ``d`` has both ends between the
+    same two moments: there are at most as many of a kind as ``X`` grows by in between, and as
+    ``Y`` does. Both never shrink, and as no two blocks overlap and none comes or goes while another
+    lies on it,
 
     * with a block, ``Y`` has those of ``P`` that it lies on;
     * with a block of ``Y``, ``X`` has those of ``R`` that overlap it, that it lies on, and that lie
       on it;
     * with a block, ``X`` has those of ``R`` that lie on it.
 
-    The integer program of the largest ``d`` under these alone bounds what any order can have; the
-    bound is the largest over all ``j``. What stands is not asked, so an order may need more.
+    The integer program of the largest ``d`` under these alone bounds what any order can have. More
+    moments bound it better, and with all of them at most one move counts between two. What stands
+    is not asked, so an order may need more.
 
     Args:
         clock: programs that are not solved in time count with what is proven of them.
@@ -41,10 +46,12 @@ def fewest_moves(change: Changeover, clock: Clock) -> int:
     going = sorted(change.going)
     coming = sorted(change.coming(going))
     best = len(going) + len(coming) - _most(change.kind, going, coming)
-    for number in range(1, len(coming)):
+    every = len(coming) - 1
+    for count in sorted({min(some, every) for some in (*_MOMENTS, every)} - {0, -1}):
         if clock.left <= 0:
             break
-        direct = _most_direct(change, going, coming, number, clock)
+        numbers = np.unique(np.rint(np.linspace(0, every + 1, count + 2)[1:-1]).astype(int))
+        direct = _most_direct(change, going, coming, numbers.tolist(), clock)
         best = max(best, len(going) + len(coming) - direct)
     return best
 
@@ -57,35 +64,41 @@ def _most(kind: np.ndarray, some: Iterable[int], others: Iterable[int]) -> int:
 
 
 def _most_direct(
-    change: Changeover, going: list[int], coming: list[int], number: int, clock: Clock
+    change: Changeover, going: list[int], coming: list[int], numbers: list[int], clock: Clock
 ) -> int:
-    """The most direct moves of an order, by what holds after ``number`` blocks were placed."""
+    """The most direct moves of an order, by what holds after each of some ``numbers`` of blocks,
+    ascending, were placed."""
     model, kind = Model(), change.kind
-    taken = model.columns(np.zeros(len(going)), 1.0, integer=True)
-    placed = model.columns(np.zeros(len(coming)), 1.0, integer=True)
-    column = dict(zip(going, taken.tolist(), strict=True))
-    other = dict(zip(coming, placed.tolist(), strict=True))
     before = change.first_gone(coming, frozenset(going))
+    taken, placed = [], []
     # Pairs of columns of which the first is not above the second.
-    pairs = [(column[o], column[a]) for o in going for a in change.above[o] if a in column]
-    pairs += [(other[a], other[n]) for n in coming for a in change.above[n] if a in other]
-    pairs += [(other[n], column[o]) for n in coming for o in before[n]]
+    pairs: list[tuple[int, int]] = []
+    for moment, number in enumerate(numbers):
+        taken.append(model.columns(np.zeros(len(going)), 1.0, integer=True))
+        placed.append(model.columns(np.zeros(len(coming)), 1.0, integer=True))
+        column = dict(zip(going, taken[-1].tolist(), strict=True))
+        other = dict(zip(coming, placed[-1].tolist(), strict=True))
+        pairs += [(column[o], column[a]) for o in going for a in change.above[o] if a in column]
+        pairs += [(other[a], other[n]) for n in coming for a in change.above[n] if a in other]
+        pairs += [(other[n], column[o]) for n in coming for o in before[n]]
+        if moment:
+            for some in (taken, placed):
+                pairs += zip(some[-2].tolist(), some[-1].tolist(), strict=True)
+        model.rows(float(number), float(number), (0, placed[-1], 1.0))
     if pairs:
         row, (small, large) = np.arange(len(pairs)), np.array(pairs).T
         model.rows(np.full(len(pairs), -math.inf), 0.0, (row, small, 1.0), (row, large, -1.0))
-    model.rows(float(number), float(number), (0, placed, 1.0))
     for one in sorted({int(kind[b]) for b in going} & {int(kind[b]) for b in coming}):
-        mine = taken[kind[going] == one]
-        theirs = placed[kind[coming] == one]
-        early, late = model.columns(-np.ones(2))
-        for pair, some, whole in (
-            (early, mine, 0),
-            (early, theirs, 0),
-            (late, mine, len(mine)),
-            (late, theirs, len(theirs)),
-        ):
-            sign = 1.0 if whole else -1.0
-            model.rows(-math.inf, float(whole), (0, np.array([pair]), 1.0), (0, some, sign))
+        between = model.columns(-np.ones(len(numbers) + 1))
+        for columns, blocks in ((taken, going), (placed, coming)):
+            mine = kind[blocks] == one
+            states = [some[mine] for some in columns]
+            for k, pair in enumerate(between):
+                grown = [(0, np.array([pair]), 1.0)]
+                grown += [(0, states[k], -1.0)] if k < len(states) else []
+                grown += [(0, states[k - 1], 1.0)] if k else []
+                whole = 0.0 if k < len(states) else float(mine.sum())
+                model.rows(-math.inf, whole, *grown)
     answer = solve(model.program(), clock.left)
     if answer.status == "infeasible" or not math.isfinite(answer.bound):
         return _most(kind, going, coming)
