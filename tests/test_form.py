@@ -34,7 +34,7 @@ def _place(path: Path) -> str:
 
 
 def _is_kernel(function: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
-    return any("njit" in ast.dump(decorator) for decorator in function.decorator_list)
+    return any("kernel" in ast.dump(decorator) for decorator in function.decorator_list)
 
 
 def long_functions(tree: ast.Module) -> list[str]:
@@ -73,7 +73,7 @@ def test_long_functions_are_seen() -> None:
     names = "abcdefghi"
     plain = f"def f({', '.join(names)}): pass\nclass C:\n def g(self, {', '.join(names[1:])}): pass"
     assert long_functions(ast.parse(plain)) == ["f"]
-    assert long_functions(ast.parse(f"@njit\ndef f({', '.join(names)}): pass")) == []
+    assert long_functions(ast.parse(f"@kernel\ndef f({', '.join(names)}): pass")) == []
     assert long_functions(ast.parse(f"def f(a, *, {', '.join(names[1:])}): pass")) == ["f"]
 
 

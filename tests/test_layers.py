@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "learn2assemble"
 SOURCE = ROOT / "src" / PACKAGE
 
-_BASE = {"errors", "registry", "values", "files", "constants", "progress"}
+_BASE = {"errors", "registry", "values", "files", "constants", "progress", "kernels"}
 _ARM = _BASE | {"geometry", "robot", "motion"}
 _PRODUCT = _ARM | {
     "blas",
@@ -36,9 +36,10 @@ ALLOWED: dict[str, set[str]] = {
     "files": {"errors", "values"},
     "workers": {"errors"},
     "compiling": set(),
+    "kernels": set(),
     "linear_programs": {"errors", "progress", "compiling"},
     "blas": set(),
-    "geometry": set(),
+    "geometry": {"kernels"},
     "assembly": _BASE | {"geometry"},
     "design": _BASE | {"geometry", "assembly"},
     "statics": _BASE | {"blas", "geometry", "linear_programs", "assembly"},
@@ -73,10 +74,10 @@ LIGHT = [
 ]
 ONLY: dict[str, set[str]] = {
     "errors": set(),
-    "geometry": {"numpy", "numba", "scipy"},
+    "geometry": {"numpy", "scipy"},
     "tasks.search": {"numpy"},
     "tasks.task": set(),
-    "tasks.simulator": {"numpy", "numba"},
+    "tasks.simulator": {"numpy"},
     "tasks.networks": {"torch", "safetensors"},
     "tasks.learning": LIBRARIES | {"tensorboard"},
 }

@@ -28,11 +28,11 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from l2a_lab.object_bounds import object_return_bound
 from learn2assemble.constants import EDGE
 from learn2assemble.errors import InputError
+from learn2assemble.kernels import kernel
 from learn2assemble.tasks.evaluation.bounds import (
     MAX_COLUMN,
     NUM_LEVELS,
@@ -184,7 +184,7 @@ def _places(frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return index[..., 0], index[..., 1]
 
 
-@njit(cache=True)
+@kernel
 def has_ended(towers, heights):
     """Whether the episode is over: success, or no blocks left."""
     if heights.sum() >= towers.counts[3]:
@@ -200,7 +200,7 @@ def has_ended(towers, heights):
     return success
 
 
-@njit(cache=True)
+@kernel
 def gains(towers, heights, n):
     """Whether one more block on tower ``n`` shows pixels that are not yet shown."""
     h = heights[n]
@@ -214,7 +214,7 @@ def gains(towers, heights, n):
     return new > 0
 
 
-@njit(cache=True)
+@kernel
 def is_in_reach(towers, heights, n):
     """Whether tower ``n`` can take a block: it stands already, or a neighbour does."""
     if heights[n] > 0:
@@ -276,7 +276,7 @@ def best_return(simulator: Simulator, state: State, row: int = 0) -> float:
     return float(own[0])
 
 
-@njit(cache=True)
+@kernel
 def sweep(towers, discount, free, toll, beyond, values):
     """Fill ``values`` (float64, index in mixed radix) from the highest structure down.
 

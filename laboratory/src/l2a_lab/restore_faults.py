@@ -18,9 +18,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from learn2assemble.constants import EDGE, HALF
+from learn2assemble.kernels import kernel
 from learn2assemble.tasks.physics.support import reaches_ground
 from learn2assemble.tasks.search.tree import ActionValues, StepResult
 from learn2assemble.tasks.world.state import State
@@ -108,7 +108,7 @@ class LegacyModel:
         return start, actions, fell
 
 
-@njit(cache=True)
+@kernel
 def _take_apart(state, rebuilt, pitch, fell):
     """Fault (c) on the rows ``rebuilt``; sets ``fell`` where a placed cell then hangs."""
     for row in range(len(rebuilt)):

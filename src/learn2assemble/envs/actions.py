@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from numba import njit
 
+from learn2assemble.kernels import kernel
 from learn2assemble.tasks.graph.features import Graph, node_offset
 from learn2assemble.tasks.graph.placements import distinct_placements
 from learn2assemble.tasks.simulator import Simulator
@@ -51,7 +51,7 @@ def unflatten_action(task: Task, action: Index) -> tuple[Index, Index, Index]:
 
 
 # These two take single fields: handing a whole State to compiled code costs more than the work.
-@njit(cache=True)
+@kernel
 def _resolve(num_vertices, num_placed, num_blocks, flat, num_nodes, num_actions, actions, clipped):
     for row in range(len(flat)):
         targets = num_vertices[row].sum()
@@ -65,7 +65,7 @@ def _resolve(num_vertices, num_placed, num_blocks, flat, num_nodes, num_actions,
         clipped[row] = unplaced != i or reference != j
 
 
-@njit(cache=True)
+@kernel
 def _fill(num_vertices, num_placed, num_blocks, terminated, allowed, mask):
     last = allowed.shape[1] - 1
     for row in range(len(mask)):
@@ -81,7 +81,7 @@ def _fill(num_vertices, num_placed, num_blocks, terminated, allowed, mask):
                     ]
 
 
-@njit(cache=True)
+@kernel
 def _middles(cells, members, count, out):
     """Middle of the cells that every placement fills; members are numbers of cells, -1 for none."""
     for row in range(len(count)):
@@ -96,7 +96,7 @@ def _middles(cells, members, count, out):
                 out[row, n, axis] /= max(filled, 1)
 
 
-@njit(cache=True)
+@kernel
 def _named(local, count, terminated, allowed, mask):
     """Which placements are allowed, of those that are named by local indices."""
     last = allowed.shape[1] - 1

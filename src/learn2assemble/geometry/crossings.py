@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from learn2assemble.kernels import kernel
 
 _NONE, _PADDING = -1, -2
 """In place of a vertex: none, and any, below nodes without triangles."""
@@ -71,7 +72,7 @@ def _curve(centres: np.ndarray) -> np.ndarray:
     return code
 
 
-@njit(cache=True)
+@kernel
 def _search(
     points: np.ndarray,
     edges: np.ndarray,
@@ -115,7 +116,7 @@ def _search(
     return -1
 
 
-@njit(cache=True)
+@kernel
 def _crosses(
     points: np.ndarray, i: int, j: int, triangle: np.ndarray, depth: float, inside: float
 ) -> bool:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from learn2assemble.kernels import kernel
 
 
 def yaw_quaternion(yaw: np.ndarray | float) -> np.ndarray:
@@ -49,7 +50,7 @@ def quaternion_matrix(quaternion: np.ndarray) -> np.ndarray:
     return quaternion_matrices(flat).reshape(*np.shape(quaternion)[:-1], 3, 3)
 
 
-@njit(cache=True)
+@kernel
 def quaternion_matrices(quaternion: np.ndarray) -> np.ndarray:
     """Compiled :func:`quaternion_matrix`: float64[n, 3, 3] of float64[n, 4]."""
     out = np.empty((len(quaternion), 3, 3))
@@ -131,7 +132,7 @@ def cube_yaw(rotation: np.ndarray) -> float:
     return float((yaw + np.pi) % (2 * np.pi) - np.pi)
 
 
-@njit(cache=True)
+@kernel
 def rotation_vector(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
     """Fill out[3] with the vector [rad, fixed axes] that rotates matrix ``a`` into ``b``."""
     # R = b a^T

@@ -10,12 +10,12 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from learn2assemble.assembly.blocks import Block
 from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.assembly.parts import convex_parts
 from learn2assemble.geometry.hulls import area_vector
+from learn2assemble.kernels import kernel
 
 _STEPS = 4
 """Positions looked at for every least extent of a block on its way."""
@@ -239,7 +239,7 @@ def _directions(vectors: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.unique(unit.round(9), axis=0))
 
 
-@njit(cache=True)
+@kernel
 def _deep(points, normals, edges, points2, normals2, edges2, moves, depth):
     """bool[n]: whether the first part, moved by each of float64[n, 3], overlaps the second.
 
@@ -281,7 +281,7 @@ def _deep(points, normals, edges, points2, normals2, edges2, moves, depth):
     return inside
 
 
-@njit(cache=True)
+@kernel
 def _hits(block, lower, upper, others, moves, solids, depth, any_one):
     """bool[n], see :meth:`Clearance._hits`: what is apart along x, y or z is apart, and only what
     is not is told apart by its faces and edges.
@@ -338,7 +338,7 @@ def _hits(block, lower, upper, others, moves, solids, depth, any_one):
     return hits
 
 
-@njit(cache=True)
+@kernel
 def _way_out(block, lower, upper, others, way, offset):
     """How far along a unit vector a block is from an offset on until it is beyond all others."""
     length = np.inf

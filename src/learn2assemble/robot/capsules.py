@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numba import njit
 
+from learn2assemble.kernels import kernel
 from learn2assemble.robot.arm import Arm, arm_model
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.kinematics import Chain, get_chain, joint_frames
@@ -145,7 +145,7 @@ def in_hand(arm: Arm, block: Capsules) -> Capsules:
 # ---------------------------------------------------------------- compiled
 
 
-@njit(cache=True)
+@kernel
 def placed(chain: Chain, capsules: Capsules, joints: np.ndarray) -> np.ndarray:
     """The lines float64[m, c, 2, 3] [m, world] of capsules at joints float64[m, n] [rad]."""
     m, n = joints.shape
@@ -167,7 +167,7 @@ def placed(chain: Chain, capsules: Capsules, joints: np.ndarray) -> np.ndarray:
     return out
 
 
-@njit(cache=True)
+@kernel
 def between_lines(a: np.ndarray, b: np.ndarray) -> float:
     """Distance of two lines with ends float64[2, 3] [m]."""
     ux, uy, uz = a[1, 0] - a[0, 0], a[1, 1] - a[0, 1], a[1, 2] - a[0, 2]
@@ -189,7 +189,7 @@ def between_lines(a: np.ndarray, b: np.ndarray) -> float:
     return np.sqrt(x * x + y * y + z * z)
 
 
-@njit(cache=True)
+@kernel
 def apart(
     lines: np.ndarray, radius: np.ndarray, others: np.ndarray, other_radius: np.ndarray
 ) -> float:

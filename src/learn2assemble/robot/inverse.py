@@ -20,10 +20,10 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import rotation_vector
+from learn2assemble.kernels import kernel
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import (
     Chain,
@@ -51,7 +51,7 @@ PATIENCE = 8
 """Iterations without progress before a start is given up."""
 
 
-@njit(cache=True)
+@kernel
 def damped_least_squares(
     chain: Chain,
     lower: np.ndarray,
@@ -132,7 +132,7 @@ def damped_least_squares(
     return OUT_OF_STEPS, total, max_iterations
 
 
-@njit(cache=True)
+@kernel
 def _bounded_step(jac, error, rows, damping, pull, q, lower, upper, free, gram, rest, step):
     """Fills ``step``: the formula above over the joints that do not run into a limit."""
     n = q.shape[0]
@@ -223,7 +223,7 @@ def ik_seeds(arm: Arm, branch: str | None = None) -> Seeds:
 # ---------------------------------------------------------------- compiled
 
 
-@njit(cache=True)
+@kernel
 def _solve(
     chain, lower, upper, posture, table, position, rotation, rows, max_iterations, restarts, q
 ):
@@ -318,7 +318,7 @@ def _solve(
     return (_OPEN if open_end else _FAR), best, spent
 
 
-@njit(cache=True)
+@kernel
 def _reach(chain):
     """An upper bound of how far the tool can be from the first joint [m]."""
     total = _length(chain.tool_offset)
@@ -327,19 +327,19 @@ def _reach(chain):
     return total
 
 
-@njit(cache=True)
+@kernel
 def _length(vector):
     return np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
 
 
-@njit(cache=True)
+@kernel
 def _copy(source, target):
     # Slices would say the same, but take seconds to compile.
     for k in range(source.shape[0]):
         target[k] = source[k]
 
 
-@njit(cache=True)
+@kernel
 def seed_distances(
     table: Seeds, position: np.ndarray, rotation: np.ndarray, rows: int
 ) -> np.ndarray:
@@ -361,13 +361,13 @@ def seed_distances(
     return out
 
 
-@njit(cache=True)
+@kernel
 def _clip(q, lower, upper):
     for k in range(q.shape[0]):
         q[k] = min(max(q[k], lower[k]), upper[k])
 
 
-@njit(cache=True)
+@kernel
 def _unwind(q, start, lower, upper):
     """Takes off whole turns of joints where that brings them nearer to the start, or inside."""
     turn = 2 * np.pi
@@ -381,7 +381,7 @@ def _unwind(q, start, lower, upper):
             q[k] = wanted
 
 
-@njit(cache=True)
+@kernel
 def _inside(q, lower, upper):
     for k in range(q.shape[0]):  # noqa: SIM110 (compiled)
         if q[k] < lower[k] or q[k] > upper[k]:

@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numba import njit
 
 from learn2assemble.errors import InputError
+from learn2assemble.kernels import kernel
 from learn2assemble.robot.arm import Arm, arm_model
 
 
-@njit(cache=True)
+@kernel
 def factorise(matrix: np.ndarray, size: int) -> bool:
     """Replaces the lower half of a symmetric positive definite matrix by its Cholesky factor.
 
@@ -38,7 +38,7 @@ def factorise(matrix: np.ndarray, size: int) -> bool:
     return True
 
 
-@njit(cache=True)
+@kernel
 def solve_factorised(factor: np.ndarray, size: int, vector: np.ndarray) -> None:
     """Solves with a Cholesky factor, in place."""
     for i in range(size):
@@ -51,7 +51,7 @@ def solve_factorised(factor: np.ndarray, size: int, vector: np.ndarray) -> None:
         vector[i] /= factor[i, i]
 
 
-@njit(cache=True)
+@kernel
 def fill_gram(
     jacobian: np.ndarray, rows: int, free: np.ndarray, damping: float, out: np.ndarray
 ) -> None:
@@ -66,7 +66,7 @@ def fill_gram(
         out[i, i] += damping
 
 
-@njit(cache=True)
+@kernel
 def smallest_singular_value(jacobian: np.ndarray, rows: int) -> float:
     """Of the first ``rows`` rows, by inverse iteration on J J^T; 0 where that is singular."""
     gram = np.empty((6, 6))
@@ -150,7 +150,7 @@ def _frame_with_z(axis: np.ndarray) -> np.ndarray:
 # ---------------------------------------------------------------- compiled
 
 
-@njit(cache=True)
+@kernel
 def _step(chain, k, angle, position, rotation, new_position, new_rotation):
     """Joint frame k from the one before, whose arrays it may replace, turned by ``angle``."""
     c, s = np.cos(angle), np.sin(angle)
@@ -171,7 +171,7 @@ def _step(chain, k, angle, position, rotation, new_position, new_rotation):
         new_rotation[i, 2] = z
 
 
-@njit(cache=True)
+@kernel
 def _place(position, rotation, offset, turn, new_position, new_rotation):
     for i in range(3):
         new_position[i] = position[i]
@@ -184,7 +184,7 @@ def _place(position, rotation, offset, turn, new_position, new_rotation):
             )
 
 
-@njit(cache=True)
+@kernel
 def joint_frames(chain: Chain, q: np.ndarray, positions: np.ndarray, rotations: np.ndarray) -> None:
     """Fills the joint frames, float64[n, 3] [m, world] and float64[n, 3, 3], of joints q [rad]."""
     for i in range(3):
@@ -196,7 +196,7 @@ def joint_frames(chain: Chain, q: np.ndarray, positions: np.ndarray, rotations: 
         _step(chain, k, q[k], positions[before], rotations[before], positions[k], rotations[k])
 
 
-@njit(cache=True)
+@kernel
 def tool_and_frames(
     chain: Chain,
     q: np.ndarray,
@@ -211,7 +211,7 @@ def tool_and_frames(
     _place(positions[last], rotations[last], chain.tool_offset, chain.tool_turn, position, rotation)
 
 
-@njit(cache=True)
+@kernel
 def forward(chain: Chain, q: np.ndarray) -> Pose:
     """The tool in the world at joints q, float64[n] [rad]: position float64[3] [m], rotation
     float64[3, 3] (T_world_tool)."""
@@ -221,7 +221,7 @@ def forward(chain: Chain, q: np.ndarray) -> Pose:
     return position, rotation
 
 
-@njit(cache=True)
+@kernel
 def forward_many(chain: Chain, q: np.ndarray) -> Pose:
     """:func:`forward` of float64[m, n]: float64[m, 3] and float64[m, 3, 3]."""
     m, n = q.shape
@@ -232,7 +232,7 @@ def forward_many(chain: Chain, q: np.ndarray) -> Pose:
     return position, rotation
 
 
-@njit(cache=True)
+@kernel
 def fill_jacobian(
     positions: np.ndarray, rotations: np.ndarray, position: np.ndarray, out: np.ndarray
 ) -> None:
@@ -247,7 +247,7 @@ def fill_jacobian(
         out[3, k], out[4, k], out[5, k] = ax, ay, az
 
 
-@njit(cache=True)
+@kernel
 def jacobian(chain: Chain, q: np.ndarray) -> np.ndarray:
     """float64[6, n]: velocity of the tool point [m/s] and angular velocity [rad/s], both in
     world axes, per joint velocity [rad/s]."""

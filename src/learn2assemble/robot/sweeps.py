@@ -6,8 +6,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from learn2assemble.kernels import kernel
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.capsules import Capsules, between_lines, placed
 from learn2assemble.robot.kinematics import get_chain
@@ -90,7 +90,7 @@ def clear(one: Sweep, other: Sweep, margin: float) -> bool:
     return bool(_clear(*one, *other, margin))
 
 
-@njit(cache=True)
+@kernel
 def _near(lines, radius, far, others, other_radius, other_far, margin):
     """Whether capsules come nearer than ``margin`` for certain (2), perhaps (1) or not at all (0),
     where they move by as much as ``far`` and ``other_far``, float64[c] and float64[d] [m]."""
@@ -122,7 +122,7 @@ def _near(lines, radius, far, others, other_radius, other_far, margin):
     return found
 
 
-@njit(cache=True)
+@kernel
 def _clear(lines, radius, way, others, other_radius, other_way, margin):
     """Halves both ways until the distances at two postures say that their surroundings are free, or
     neighbours are left whose distances do not."""

@@ -14,8 +14,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numba import njit
 
+from learn2assemble.kernels import kernel
 from learn2assemble.motion.plant import Plant, Readings
 from learn2assemble.motion.setup import Setup
 from learn2assemble.robot.arm import Arm, arm_model
@@ -90,7 +90,7 @@ def _backdrop(
     return shown
 
 
-@njit(cache=True)
+@kernel
 def _box(rays, between, origin, half, window, shown):
     """Mark those pixels within a window whose rays meet a box.
 
@@ -117,7 +117,7 @@ def _box(rays, between, origin, half, window, shown):
             shown[v, u] = enter <= leave
 
 
-@njit(cache=True)
+@kernel
 def _plane(rays, normal, away, depth):
     """Put an endless plane into a depth picture, where it is nearer."""
     for v in range(depth.shape[0]):
@@ -128,7 +128,7 @@ def _plane(rays, normal, away, depth):
                 depth[v, u] = away / towards
 
 
-@njit(cache=True)
+@kernel
 def _read(depth, noise, waves, frames, rng):
     """Pictures of a depth picture as they would be read, and of every pixel the median of those
     that read something.

@@ -15,9 +15,9 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.kernels import kernel
 from learn2assemble.robot.bodies import Shape
 from learn2assemble.sensing.camera import DepthCamera, DepthPicture
 
@@ -96,7 +96,7 @@ COUNTS = 5
 """Kinds of pixels: on the faces, near the border, before them, behind them, not read."""
 
 
-@njit(cache=True)
+@kernel
 def ray_meets(
     eye: np.ndarray, way: np.ndarray, normals: np.ndarray, offsets: np.ndarray, starts: np.ndarray
 ) -> tuple[float, int, float]:
@@ -128,14 +128,14 @@ def ray_meets(
     return best, face, border
 
 
-@njit(cache=True)
+@kernel
 def _turned(matrix, vector, out):
     """Fill ``out`` with matrix @ vector, both of three."""
     for i in range(3):
         out[i] = matrix[i, 0] * vector[0] + matrix[i, 1] * vector[1] + matrix[i, 2] * vector[2]
 
 
-@njit(cache=True)
+@kernel
 def _lever(arm, force, out, start):
     """Fill three of ``out`` with arm x force."""
     out[start] = arm[1] * force[2] - arm[2] * force[1]
@@ -143,7 +143,7 @@ def _lever(arm, force, out, start):
     out[start + 2] = arm[0] * force[1] - arm[1] * force[0]
 
 
-@njit(cache=True)
+@kernel
 def _add(information, gradient, row, residual, weight):
     for i in range(6):
         scaled = weight * row[i]
@@ -152,14 +152,14 @@ def _add(information, gradient, row, residual, weight):
             information[i, j] += scaled * row[j]
 
 
-@njit(cache=True)
+@kernel
 def _robust(residual, sigma):
     """Weight of a residual: Tukey's, none from five standard deviations."""
     share = residual / (5.0 * sigma)
     return (1.0 - share * share) ** 2 if abs(share) < 1.0 else 0.0
 
 
-@njit(cache=True)
+@kernel
 def _faces(picture, window, camera, block, shape, noise, gate, waves, sums):
     """Add what the faces say; see :func:`normal_equations`. Returns, by face, whether it is seen,
     the pixels on it, and the sum of squared residuals in standard deviations."""
@@ -235,7 +235,7 @@ def _faces(picture, window, camera, block, shape, noise, gate, waves, sums):
     return seen, of_face, squares
 
 
-@njit(cache=True)
+@kernel
 def _outlines(picture, camera, block, shape, noise, seen_faces, reach, sums):
     """Add what the outlines say; see :func:`normal_equations`. Returns how many places."""
     depth, rays = picture
@@ -428,7 +428,7 @@ def window_of(view: PreparedPicture, corners: np.ndarray, most: int = 1 << 30) -
     return window if found else None
 
 
-@njit(cache=True)
+@kernel
 def _window(corners, place, turn, focal, middle, size, most, window):
     """Fill what :func:`window_of` returns; whether there is anything to see."""
     low_u, low_v, high_u, high_v = np.inf, np.inf, -np.inf, -np.inf

@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from learn2assemble.geometry.hulls import resting_turns
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, yaw_matrix
+from learn2assemble.kernels import kernel
 from learn2assemble.robot.bodies import Shape, Solid, body_of, overlaps, solids
 from learn2assemble.sensing.registration import LEAST, Believed, Look, Seen, register
 from learn2assemble.sensing.residuals import PreparedPicture, faceted, ray_meets, window_of
@@ -41,7 +41,7 @@ class Patch(NamedTuple):
     """Of the picture."""
 
 
-@njit(cache=True)
+@kernel
 def _explain(depth, rays, window, origin, between, faces, slack, mask):
     """Strike from a mask what a block shows, and what borders on it."""
     normals, offsets, starts = faces

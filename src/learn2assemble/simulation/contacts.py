@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numba import njit
 
+from learn2assemble.kernels import kernel
 from learn2assemble.simulation.model import TABLE, ArmParts, SimulatedWorld
 
 TOUCH = 0.5
@@ -170,7 +170,7 @@ class SimulatedContacts:
         return self.data.contact.geom if self.data.ncon else np.empty((0, 2), np.int32)
 
 
-@njit(cache=True)
+@kernel
 def _first(pairs: np.ndarray, classes: np.ndarray, thresholds: np.ndarray, begin: int) -> int:
     """Index of the first contact from ``begin`` on that may be a collision, or their number."""
     for k in range(begin, pairs.shape[0]):

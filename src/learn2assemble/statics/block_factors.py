@@ -18,9 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
+
+from learn2assemble.kernels import kernel
 
 _ROUNDING = 1e-15
 """Pivots of less than this share of the largest entry are none."""
@@ -233,7 +234,7 @@ class Factors(NamedTuple):
 # ---------------------------------------------------------------- compiled
 
 
-@njit(cache=True)
+@kernel
 def _fill(start, later):
     """Where the factors have blocks: of each body the later ones that it still touches when its
     turn comes, as ``start`` int64[n + 1] and ``later`` int64[m], ascending.
@@ -272,7 +273,7 @@ def _fill(start, later):
     return ends, found[: ends[count]].copy()
 
 
-@njit(cache=True)
+@kernel
 def _solve(start, later, diagonal, left_of, right_of, x, work):
     """Factor in place, and solve for ``x`` in place. Returns whether no pivot is zero.
 
@@ -325,7 +326,7 @@ def _solve(start, later, diagonal, left_of, right_of, x, work):
     return True
 
 
-@njit(cache=True)
+@kernel
 def _invert(block, inverse):
     """The inverse of a square ``block``, which is lost; False where it has none."""
     size = len(block)
@@ -355,7 +356,7 @@ def _invert(block, inverse):
     return True
 
 
-@njit(cache=True)
+@kernel
 def _fill_in(a, b, on_a, on_b, pair, stiff, soft, diagonal, beside):  # pragma: no cover
     """The matrix of springs. Blocks beside the diagonal have the rows of the later body."""
     size = diagonal.shape[1]
@@ -380,7 +381,7 @@ def _fill_in(a, b, on_a, on_b, pair, stiff, soft, diagonal, beside):  # pragma: 
                         beside[at, r, c] += push * first[c]
 
 
-@njit(cache=True)
+@kernel
 def _factor_springs(start, later, diagonal, beside, work):  # pragma: no cover
     """Cholesky's factors in place. Returns whether there are any.
 
@@ -435,7 +436,7 @@ def _factor_springs(start, later, diagonal, beside, work):  # pragma: no cover
     return True
 
 
-@njit(cache=True)
+@kernel
 def _solve_springs(start, later, diagonal, beside, x):  # pragma: no cover
     """Solve in place with factors."""
     count, size = x.shape
@@ -461,7 +462,7 @@ def _solve_springs(start, later, diagonal, beside, x):  # pragma: no cover
             x[k, r] *= diagonal[k, r, r]
 
 
-@njit(cache=True)
+@kernel
 def _stretched(a, b, on_a, on_b, motion):  # pragma: no cover
     """How far springs are stretched."""
     size = motion.shape[1]

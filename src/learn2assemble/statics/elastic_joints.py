@@ -29,9 +29,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from learn2assemble.blas import by_one_thread
+from learn2assemble.kernels import kernel
 from learn2assemble.statics.block_factors import BlockMatrix
 from learn2assemble.statics.hands import STIFFNESS, HandSprings, HeldBlock
 
@@ -305,7 +305,7 @@ class _JointResponse(NamedTuple):
 # ---------------------------------------------------------------- compiled
 
 
-@njit(cache=True)
+@kernel
 def _respond(motion, load, body, wrench, kind, near, springs, friction, force, slope, left):
     """Forces of a law at a motion, their derivatives by the motion of the corners, and what is
     left of the load, all in place. Returns the energy, which the coupled law has none of."""
@@ -374,7 +374,7 @@ def _respond(motion, load, body, wrench, kind, near, springs, friction, force, s
     return energy
 
 
-@njit(cache=True)
+@kernel
 def _assemble(body, wrench, slope, leak, springs, at, turned, data):
     """Set a matrix to the sum of wrench.T @ slope @ wrench over both sides of every corner.
 
@@ -410,7 +410,7 @@ def _assemble(body, wrench, slope, leak, springs, at, turned, data):
                             block[r, c] += wrench[row, p, k, r] * moved[k, c]
 
 
-@njit(cache=True)
+@kernel
 def add_wrenches(  # pragma: no cover
     body: np.ndarray, wrench: np.ndarray, forces: np.ndarray, result: np.ndarray
 ) -> None:

@@ -11,8 +11,8 @@ row.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from learn2assemble.kernels import kernel
 from learn2assemble.statics.holding_forces import Columns
 from learn2assemble.statics.passing_on import ranked
 
@@ -71,7 +71,7 @@ def first_basis(
     return (basic, rows) if basic.sum() + rows.sum() == 6 * count else None
 
 
-@njit(cache=True)
+@kernel
 def _borne(order, rank, start, touching, a, b, at, push, weight, centre, basic):  # pragma: no cover
     """Put three pushes of every brick into ``basic``; False where one has no three, or where many
     are not borne by pushes."""
@@ -126,7 +126,7 @@ def _borne(order, rank, start, touching, a, b, at, push, weight, centre, basic):
     return True
 
 
-@njit(cache=True)
+@kernel
 def _around(x, y, up, count, at_x, at_y, chosen):  # pragma: no cover
     """Three pushes from below around a point: the nearest one, and those that lie next to the line
     from it through the point, to its left and to its right; False where there are none."""
@@ -152,7 +152,7 @@ def _around(x, y, up, count, at_x, at_y, chosen):  # pragma: no cover
     return left >= 0 and right >= 0 and 1e-6 < most - fewest < np.pi - 1e-6
 
 
-@njit(cache=True)
+@kernel
 def _wide(x, y, count, chosen):  # pragma: no cover
     """Three pushes far from one line; False where all are on one."""
     first, second, third, most = 0, 0, 0, 0.0

@@ -14,8 +14,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from learn2assemble.kernels import kernel
 from learn2assemble.statics.elastic import HALVINGS, LEAK, LEAST_LEAK, MOST_LEAK, ROUNDING, STEPS
 
 MOST_MENDED, MOST_MENDINGS = 48, 60
@@ -54,7 +54,7 @@ class StackLoad(NamedTuple):
     """Of lever arms [m]."""
 
 
-@njit(cache=True)
+@kernel
 def settle(
     load: StackLoad, force: np.ndarray, placed: np.ndarray, dirty: np.ndarray, mends: bool
 ) -> bool:
@@ -111,7 +111,7 @@ def settle(
     return left == 0  # else blocks in rings are left
 
 
-@njit(cache=True)
+@kernel
 def _load_on(load, force, b, row, target):
     """Weight of a block and what rests on it, in blocks without a ``row``: force and moments."""
     target[0], target[1], target[2] = load.weight[b], 0.0, 0.0
@@ -123,7 +123,7 @@ def _load_on(load, force, b, row, target):
             target[2] += force[p] * (load.py[p] - load.cy[b]) / load.unit
 
 
-@njit(cache=True)
+@kernel
 def _answer(load, force, live, b, target, trial):
     """Smallest change of the forces under a block that balances ``target``, in place.
 
@@ -213,7 +213,7 @@ def _answer(load, force, live, b, target, trial):
 # ---------------------------------------------------------------- mending
 
 
-@njit(cache=True)
+@kernel
 def _mend(load, force, live, members, row, b):
     """Balance a block with as few others as it takes.
 
@@ -246,7 +246,7 @@ def _mend(load, force, live, members, row, b):
     return 0
 
 
-@njit(cache=True)
+@kernel
 def _join(members, row, count, block):
     """Add a block to the members where it is none, and there is room; how many there are."""
     if row[block] >= 0 or count == len(members):
@@ -255,7 +255,7 @@ def _join(members, row, count, block):
     return count + 1
 
 
-@njit(cache=True)
+@kernel
 def _balance(load, force, live, members, row):
     """The forces under ``members`` nearest to those they have that balance them, in place.
 
@@ -304,7 +304,7 @@ def _balance(load, force, live, members, row):
     return False
 
 
-@njit(cache=True)
+@kernel
 def _equations(load, force, live, members, row):
     """Points under ``members`` (int64[k]), their lever arms on the block above and the one below
     (float64[k, 6]), the first rows of the two (int64[k, 2]; -1: held), and the loads."""
@@ -329,7 +329,7 @@ def _equations(load, force, live, members, row):
     return point[:k], arm[:k], at[:k], right
 
 
-@njit(cache=True)
+@kernel
 def _left(right, arm, at, there):
     """float64[m]: what the forces ``there`` leave of the loads."""
     left = right.copy()
@@ -342,7 +342,7 @@ def _left(right, arm, at, there):
     return left
 
 
-@njit(cache=True)
+@kernel
 def _opening(arm, at, motion):
     """float64[n]: how far a motion of the blocks presses every point together."""
     pull = np.zeros(len(at))
@@ -355,7 +355,7 @@ def _opening(arm, at, motion):
     return pull
 
 
-@njit(cache=True)
+@kernel
 def _newton(arm, at, soft, left):
     """The motion that balances ``left`` on springs ``soft``, and whether there is one."""
     m = len(left)

@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from learn2assemble.kernels import kernel
 
 PARTS = np.array([2, 3, 4])
 """Of the six rows of a block: its weight, and the couples about the level axes."""
@@ -45,7 +46,7 @@ class JointSums:
         _pass_on(order, rank, self._start, self._pushes, self._sides, on, part, size)
 
 
-@njit(cache=True)
+@kernel
 def ranked(  # pragma: no cover
     start: np.ndarray,
     columns: np.ndarray,
@@ -84,7 +85,7 @@ def ranked(  # pragma: no cover
     return order[:known], rank
 
 
-@njit(cache=True)
+@kernel
 def _solve(matrix, right, found):  # pragma: no cover
     """Cholesky's factors of a matrix, in its place, and the solution."""
     for i in range(3):
@@ -107,7 +108,7 @@ def _solve(matrix, right, found):  # pragma: no cover
         found[i] /= matrix[i, i]
 
 
-@njit(cache=True)
+@kernel
 def _pass_on(order, rank, start, columns, sides, on, lack, size):  # pragma: no cover
     a, b, on_a, on_b = sides
     normal, motion = np.empty((3, 3)), np.empty(3)

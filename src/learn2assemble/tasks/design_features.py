@@ -9,8 +9,8 @@ of kinds of the kit.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from learn2assemble.kernels import kernel
 from learn2assemble.planning.tiling.world import LatticeWorld
 
 DEPTH = 5
@@ -158,7 +158,7 @@ def _summary(
     return out
 
 
-@njit(cache=True)
+@kernel
 def _describe(
     out,
     candidates,

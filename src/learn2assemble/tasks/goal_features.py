@@ -4,8 +4,8 @@ summary of the whole."""
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from learn2assemble.kernels import kernel
 from learn2assemble.planning.goals.world import GoalProblem, Relaxed, unmet
 from learn2assemble.planning.tiling.world import LatticeWorld
 
@@ -133,7 +133,7 @@ def _levers(
     return lean, lever
 
 
-@njit(cache=True)
+@kernel
 def _lean(children, bed_start, bed, owner, levels, blocks, centre, out):
     relative, length, middle, tip = blocks
     lean, lever = out

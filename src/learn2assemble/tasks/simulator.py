@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from learn2assemble.errors import Learn2AssembleError
+from learn2assemble.kernels import kernel
 from learn2assemble.tasks.checkers import resolve_checker
 from learn2assemble.tasks.graph.features import Graph, build_graph, node_offset
 from learn2assemble.tasks.graph.placements import Placements
@@ -51,7 +51,7 @@ class WorldTransition(NamedTuple):
     """int8[B] of `physics.protocol.PlacementVerdict`."""
 
 
-@njit(cache=True)
+@kernel
 def _propose_cubes(state, actions, rotations, pitch, active, previous):
     # Apart from _propose, as a choice inside the loop would double its cost.
     for row in range(len(actions)):
@@ -63,7 +63,7 @@ def _propose_cubes(state, actions, rotations, pitch, active, previous):
             move_cell(state, row, source, reference, x, y, z)
 
 
-@njit(cache=True)
+@kernel
 def _propose(state, actions, spec, active, previous):
     for row in range(len(actions)):
         previous[row] = state.plane_pixels[row]
@@ -76,7 +76,7 @@ def _propose(state, actions, spec, active, previous):
             move_block(state, row, unplaced, reference, x, y, z, spec.turns[way], spec.pitch)
 
 
-@njit(cache=True)
+@kernel
 def _score(
     state,
     rows,
@@ -105,7 +105,7 @@ def _score(
         state.terminated[row] = ended[row]
 
 
-@njit(cache=True)
+@kernel
 def _reset_rows(state, rows, rng, frames, stock, waiting, problems):
     draws = 0
     for n in range(len(rows)):

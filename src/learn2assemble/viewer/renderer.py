@@ -12,9 +12,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from learn2assemble.kernels import kernel
 from learn2assemble.robot.shape import Mesh, box
 
 SAMPLES = 2
@@ -36,13 +36,13 @@ def project(world: np.ndarray, camera: Camera) -> np.ndarray:
     return np.concatenate([picture, inverse], -1).astype(np.float32)
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@kernel(inline="always", error_model="numpy")
 def _span(low, high, limit):
     """First and last sample whose centre lies between ``low`` and ``high``."""
     return max(int(np.ceil(low - 0.5)), 0), min(int(np.floor(high - 0.5)), limit - 1)
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@kernel(inline="always", error_model="numpy")
 def _inner(u, v, u_step, v_step, count):
     """First and last of ``count`` samples in a row whose weights are all positive, and one more
     on either side against rounding."""
@@ -58,13 +58,13 @@ def _inner(u, v, u_step, v_step, count):
     return max(int(low) - 1, 0), min(int(high) + 1, count - 1)
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@kernel(inline="always", error_model="numpy")
 def _area(a, b, c):
     """Twice the signed area of a triangle in the picture."""
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _cover(a, b, c, area, nearest, marks, mark):
     """Enter a triangle where it is nearer than anything before it, and ``mark`` it there.
 
@@ -100,7 +100,7 @@ def _cover(a, b, c, area, nearest, marks, mark):
             v += v_step
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def fill(
     screen: np.ndarray,
     faces: np.ndarray,
@@ -158,7 +158,7 @@ near to the sun, and the place on the face of a block; all of them times the inv
 which makes them linear in the picture."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def slopes(
     screen: np.ndarray,
     world: np.ndarray,
@@ -206,7 +206,7 @@ def slopes(
             out[f, 4 + 3 * n] = (c * bx - b * cx) / area
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def shade(
     seen: np.ndarray,
     slope: np.ndarray,

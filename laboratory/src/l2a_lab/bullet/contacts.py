@@ -16,10 +16,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from l2a_lab.bullet.resolution import FIRST, HAND, ContactPoints
 from learn2assemble.constants import HALF
+from learn2assemble.kernels import kernel
 from learn2assemble.tasks.world.blocks import GRAVITY
 
 DRAG = 10.0
@@ -32,7 +32,7 @@ REST = 10
 """... and after so many steps asleep, with all it touches."""
 
 
-@njit(cache=True)
+@kernel
 def wake(still, touching, held):
     """bool[b]: bodies that are in motion, held or touched by what is.
 
@@ -59,7 +59,7 @@ def wake(still, touching, held):
     return awake
 
 
-@njit(cache=True)
+@kernel
 def accelerate(twist, awake, timestep):
     """Gravity and drag, on twists float64[b, 6] (velocity of the centre of mass, spin), in
     place."""
@@ -72,7 +72,7 @@ def accelerate(twist, awake, timestep):
             twist[b, 2] -= timestep * GRAVITY
 
 
-@njit(cache=True)
+@kernel
 def inverse_mass_matrix(inverse_mass, inverse_inertia, rotation, awake):
     """float64[b, 6, 6]: twist per impulse at the centre of mass; 0 for what is not awake.
 
@@ -97,7 +97,7 @@ def inverse_mass_matrix(inverse_mass, inverse_inertia, rotation, awake):
     return out
 
 
-@njit(cache=True)
+@kernel
 def integrate(position, quaternion, twist, awake, still, timestep):
     """Poses and stillness after a step, in place."""
     for b in range(FIRST, len(awake)):
@@ -164,7 +164,7 @@ def empty_manifolds(shapes: int, pairs: int) -> Manifolds:
     )
 
 
-@njit(cache=True)
+@kernel
 def _local(point, position, rotation, out):
     for i in range(3):
         out[i] = 0.0
@@ -172,7 +172,7 @@ def _local(point, position, rotation, out):
             out[i] += rotation[k, i] * (point[k] - position[k])
 
 
-@njit(cache=True)
+@kernel
 def _world(point, position, rotation, out):
     for i in range(3):
         out[i] = position[i]
@@ -180,7 +180,7 @@ def _world(point, position, rotation, out):
             out[i] += rotation[i, k] * point[k]
 
 
-@njit(cache=True)
+@kernel
 def _cross_size(a, b, c, d):
     """Squared length of (a - b) x (c - d)."""
     ax, ay, az = a[0] - b[0], a[1] - b[1], a[2] - b[2]
@@ -189,7 +189,7 @@ def _cross_size(a, b, c, d):
     return x * x + y * y + z * z
 
 
-@njit(cache=True)
+@kernel
 def _place_for(one, distance, count, point, depth):
     """Which point a new one takes the place of: one that is near, a free one, or the one whose
     loss costs least area, but never the deepest."""
@@ -220,7 +220,7 @@ def _place_for(one, distance, count, point, depth):
     return best
 
 
-@njit(cache=True)
+@kernel
 def update_manifolds(m, step, shapes, body, point, normal, distance, position, rotation):
     """Bring the manifolds up to date with the contacts found in this step.
 
@@ -282,7 +282,7 @@ def update_manifolds(m, step, shapes, body, point, normal, distance, position, r
             m.pair[row, 0] = -1
 
 
-@njit(cache=True)
+@kernel
 def touching_bodies(m, body):
     """int64[k, 2]: bodies of every pair."""
     rows = np.flatnonzero(m.pair[:, 0] >= 0)
@@ -292,7 +292,7 @@ def touching_bodies(m, body):
     return out
 
 
-@njit(cache=True)
+@kernel
 def contact_points(m, body, position, rotation, awake):
     """The contacts of bodies that are awake, bool[b], the youngest pairs first, as
     :class:`ContactPoints`."""

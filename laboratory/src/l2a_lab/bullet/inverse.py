@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from learn2assemble.geometry.rotations import rotation_vector
+from learn2assemble.kernels import kernel
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.inverse import (
     CONVERGED,
@@ -54,7 +54,7 @@ def solve_as_published(
     return Solution(joints, failure, error, iterations)
 
 
-@njit(cache=True)
+@kernel
 def _least_squares(chain, target_position, target_rotation, rows, tolerance, max_iterations, q):
     """The solver of the released code, improving q in place, without joint limits.
 
@@ -105,7 +105,7 @@ def _least_squares(chain, target_position, target_rotation, rows, tolerance, max
     return OUT_OF_STEPS, size, max_iterations
 
 
-@njit(cache=True)
+@kernel
 def logarithm(position, rotation, out):
     """log6 of a rigid transform: out[:3] translation part [m], out[3:] rotation vector [rad]."""
     rotation_vector(np.eye(3), rotation, out[3:])

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from learn2assemble.constants import FRICTION
+from learn2assemble.kernels import kernel
 
 TABLE, HAND, FIRST = 0, 1, 2
 """Bodies: the world, the hand, and the first of the free ones."""
@@ -80,7 +80,7 @@ class HandHold(NamedTuple):
     """float64[6]: shift [m] and rotation [rad] the object lacks, world axes."""
 
 
-@njit(cache=True)
+@kernel
 def _dot(a, i, b, j):
     """Of row i of float64[r, 6] and row j of another; written out, as all sweeps are made of it."""
     return (
@@ -93,7 +93,7 @@ def _dot(a, i, b, j):
     )
 
 
-@njit(cache=True)
+@kernel
 def _add(a, i, factor, b, j):
     """To row i of float64[r, 6] a multiple of row j of another."""
     a[i, 0] += factor * b[j, 0]
@@ -104,13 +104,13 @@ def _add(a, i, factor, b, j):
     a[i, 5] += factor * b[j, 5]
 
 
-@njit(cache=True)
+@kernel
 def _add_rates(rates, factor, reach, row):
     for i in range(rates.shape[0]):
         rates[i] += factor * reach[row, i]
 
 
-@njit(cache=True)
+@kernel
 def _times(matrix, vector, out):
     """Small products without a call of BLAS, which takes longer than they do."""
     for i in range(matrix.shape[0]):
@@ -120,7 +120,7 @@ def _times(matrix, vector, out):
         out[i] = total
 
 
-@njit(cache=True)
+@kernel
 def _wrench(direction, point, centre, sign, out):
     """float64[6]: impulse of size ``sign`` along a direction at a point, about a centre."""
     x, y, z = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
@@ -130,7 +130,7 @@ def _wrench(direction, point, centre, sign, out):
     out[5] = x * out[1] - y * out[0]
 
 
-@njit(cache=True)
+@kernel
 def resolve(centre, twist, rates, inverse_mass, contacts, drive, hold, timestep):
     """Changes twists and rates in place.
 
@@ -256,7 +256,7 @@ def resolve(centre, twist, rates, inverse_mass, contacts, drive, hold, timestep)
             break
 
 
-@njit(cache=True)
+@kernel
 def _apply(a, b, extra, effect_1, effect_2, reach, row, twist, rates):
     _add(twist, a, extra, effect_1, row)
     _add(twist, b, extra, effect_2, row)
@@ -264,7 +264,7 @@ def _apply(a, b, extra, effect_1, effect_2, reach, row, twist, rates):
         _add_rates(rates, extra, reach, row)
 
 
-@njit(cache=True)
+@kernel
 def _goals(drive, timestep):
     """What rates the motors and then the stops want, float64[2 n] [rad/s], and the impulse for a
     change of the rate of 1 rad/s; 0 for the stop of a joint that is within its limits."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from l2a_lab.bullet.contacts import (
     BREAKING,
@@ -25,6 +24,7 @@ from l2a_lab.bullet.contacts import (
 )
 from l2a_lab.bullet.resolution import FIRST, HAND, Drive, HandHold, resolve
 from learn2assemble.geometry.rotations import quaternion_matrices, rotation_vector
+from learn2assemble.kernels import kernel
 from learn2assemble.robot.kinematics import (
     Chain,
     factorise,
@@ -87,14 +87,14 @@ class Motors(NamedTuple):
     """[rad]."""
 
 
-@njit(cache=True)
+@kernel
 def _cross(a, b, out):
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
     out[2] = a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True)
+@kernel
 def _turned_inertia(rotation, inertia, out):
     """R I R^T."""
     for i in range(3):
@@ -106,7 +106,7 @@ def _turned_inertia(rotation, inertia, out):
             out[i, j] = total
 
 
-@njit(cache=True)
+@kernel
 def arm_dynamics(
     links: Links, frames: tuple[np.ndarray, np.ndarray], rates: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -209,7 +209,7 @@ def arm_dynamics(
     return mass, bias
 
 
-@njit(cache=True)
+@kernel
 def _inverse(matrix, out):
     """Of a symmetric positive definite matrix, which is lost."""
     n = len(matrix)
@@ -220,7 +220,7 @@ def _inverse(matrix, out):
         solve_factorised(matrix, n, out[k])
 
 
-@njit(cache=True)
+@kernel
 def _as_quaternion(rotation, out):
     """A quaternion of a rotation matrix, by its largest component."""
     x, y, z = rotation[0, 0], rotation[1, 1], rotation[2, 2]
@@ -248,7 +248,7 @@ def _as_quaternion(rotation, out):
         out[k] *= size
 
 
-@njit(cache=True)
+@kernel
 def follow(chain: Chain, joints: np.ndarray, bodies: Bodies) -> None:
     """The hand is where the joints, float64[n] [rad], take it."""
     n = len(joints)
@@ -263,7 +263,7 @@ def follow(chain: Chain, joints: np.ndarray, bodies: Bodies) -> None:
     _as_quaternion(bodies.rotation[HAND], bodies.quaternion[HAND])
 
 
-@njit(cache=True)
+@kernel
 def fill_poses(bodies: Bodies, centre: np.ndarray, out: np.ndarray) -> None:
     """Poses float64[b - 1, 7] of the hand and the objects: origin [m] and quaternion.
 
@@ -279,7 +279,7 @@ def fill_poses(bodies: Bodies, centre: np.ndarray, out: np.ndarray) -> None:
         out[b - HAND, 3:] = bodies.quaternion[b]
 
 
-@njit(cache=True)
+@kernel
 def _hold(bodies, held):
     error, point = np.zeros(6), np.zeros(3)
     if held.body >= 0:
@@ -296,7 +296,7 @@ def _hold(bodies, held):
     return HandHold(held.body, point, error)
 
 
-@njit(cache=True)
+@kernel
 def advance(
     chain: Chain,
     links: Links,
@@ -366,7 +366,7 @@ def advance(
     return touching
 
 
-@njit(cache=True)
+@kernel
 def _find(manifolds, clock, found, body, bodies, skin):
     """Bring the manifolds up to date with those contacts that are near."""
     geom, dist, pos, frame = found
@@ -394,7 +394,7 @@ def _find(manifolds, clock, found, body, bodies, skin):
     )
 
 
-@njit(cache=True)
+@kernel
 def fill_centres(bodies: Bodies, body: np.ndarray, offset: np.ndarray, out: np.ndarray) -> None:
     """Where the cells are, float64[n, 3] [m].
 
@@ -409,7 +409,7 @@ def fill_centres(bodies: Bodies, body: np.ndarray, offset: np.ndarray, out: np.n
                 out[c, i] += bodies.rotation[b, i, k] * offset[c, k]
 
 
-@njit(cache=True)
+@kernel
 def correction(
     chain: Chain, joints: np.ndarray, base: np.ndarray, left: np.ndarray, total: np.ndarray
 ) -> None:

@@ -20,9 +20,9 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numba import njit
 
 from learn2assemble.design.goals import Goals, Surface
+from learn2assemble.kernels import kernel
 from learn2assemble.linear_programs import INF
 from learn2assemble.planning.tiling.world import LatticeSite, LatticeWorld, make_site
 from learn2assemble.statics.step_proof import Proof, Stack
@@ -249,7 +249,7 @@ def bears(problem: GoalProblem, world: LatticeWorld) -> bool:
 # ---------------------------------------------------------------- compiled
 
 
-@njit(cache=True)
+@kernel
 def _legal(owner, alive, bed_start, bed, centre, shape):
     step_x, step_y = shape[1] * shape[2], shape[2]
     found = np.empty(len(alive), np.int64)
@@ -270,7 +270,7 @@ def _legal(owner, alive, bed_start, bed, centre, shape):
     return found[:count]
 
 
-@njit(cache=True)
+@kernel
 def _cover(cells, depth, owner, alive, over_start, over):
     """Nothing can be put down below ``cells`` any more."""
     for c in cells:
@@ -281,14 +281,14 @@ def _cover(cells, depth, owner, alive, over_start, over):
             k -= 1
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _keep(least, at, k, value, cell):
     """The cheapest so far of one kind, and its cell."""
     if value < least[k]:
         least[k], at[k] = value, cell
 
 
-@njit(cache=True)
+@kernel
 def _support(need, bed, first, last, cx, cy, step_x, step_y, size_y, ref_kind, ref_cell):
     """What it takes to carry a centroid (cx, cy); ``ref_*`` become the supports."""
     big = best = 1e9
@@ -335,7 +335,7 @@ def _support(need, bed, first, last, cx, cy, step_x, step_y, size_y, ref_kind, r
     return best
 
 
-@njit(cache=True)
+@kernel
 def _relax(
     owner,
     alive,

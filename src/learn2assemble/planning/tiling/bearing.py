@@ -12,7 +12,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from learn2assemble.kernels import kernel
 
 NO_WAY = 1e6
 """Studs to the ground of what bears on nothing."""
@@ -41,7 +42,7 @@ class Covering(NamedTuple):
     """float64: the least that ways from the layer's cells could be."""
 
 
-@njit(cache=True)
+@kernel
 def least_ways(below: np.ndarray, cells: np.ndarray) -> np.ndarray:  # pragma: no cover
     """float64[X, Y]: ways to the ground as if a layer were one brick.
 
@@ -72,7 +73,7 @@ def least_ways(below: np.ndarray, cells: np.ndarray) -> np.ndarray:  # pragma: n
     return found
 
 
-@njit(cache=True)
+@kernel
 def ways_of(ways: np.ndarray, i: int, j: int, a: int, b: int) -> np.ndarray:  # pragma: no cover
     """float64[a, b]: from the cells of a brick to the ground.
 
@@ -91,7 +92,7 @@ def ways_of(ways: np.ndarray, i: int, j: int, a: int, b: int) -> np.ndarray:  # 
     return found
 
 
-@njit(cache=True)
+@kernel
 def _different(names: np.ndarray, seen: np.ndarray) -> int:  # pragma: no cover
     """How many names from 0 on there are in an array; ``seen`` is room to note them."""
     count = 0
@@ -108,7 +109,7 @@ def _different(names: np.ndarray, seen: np.ndarray) -> int:  # pragma: no cover
     return count
 
 
-@njit(cache=True)
+@kernel
 def best_brick(  # pragma: no cover
     layer: tuple[np.ndarray, ...],
     sizes: np.ndarray,

@@ -19,10 +19,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from learn2assemble.assembly.kit import Cell, Kit, orientations
+from learn2assemble.kernels import kernel
 from learn2assemble.planning.tiling.candidates import (
     BlockPlacement,
     Candidates,
@@ -312,7 +312,7 @@ class LatticeWorld:
         return [(int(x), int(y), int(z)) for x, y, z in at]
 
 
-@njit(cache=True)
+@kernel
 def _fill(cells, number, owner, alive, waits, cover, over_start, over, on_start, on, start, cell):
     """Fill ``cells`` with block ``number``: candidates there are gone, those above come nearer."""
     for c in cells:
@@ -327,7 +327,7 @@ def _fill(cells, number, owner, alive, waits, cover, over_start, over, on_start,
             waits[on[k]] -= 1
 
 
-@njit(cache=True)
+@kernel
 def _pack(alive, kind, kinds, start, cell, cells):
     taken = np.full((kinds, cells), False)
     count = np.zeros(kinds, np.int64)

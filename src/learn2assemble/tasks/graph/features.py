@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from learn2assemble.kernels import kernel
 from learn2assemble.tasks.world.rules import observe_row
 from learn2assemble.tasks.world.state import State
 
@@ -34,7 +34,7 @@ class Graph(NamedTuple):
         return Graph(*[field[rows] for field in self])
 
 
-@njit(cache=True)
+@kernel
 def _build(state, frames, nodes, object_id, num_nodes):
     for row in range(len(num_nodes)):
         num_nodes[row] = observe_row(state, row, frames, nodes[row], object_id[row])

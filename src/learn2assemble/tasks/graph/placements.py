@@ -11,22 +11,22 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from learn2assemble.constants import EDGE
+from learn2assemble.kernels import kernel
 from learn2assemble.tasks.graph.features import Graph
 from learn2assemble.tasks.world.blocks import DIRECTIONS, MAX_CELLS, ActionSpec, quarter_turn
 from learn2assemble.tasks.world.rules import waiting_level
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _mix(value):
     value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return value ^ (value >> np.uint64(31))
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def cell_key(x: int, y: int, z: int) -> np.uint64:
     # In units of a tenth of a block: finer than a lattice, coarser than what settling moves. A
     # gripper may leave blocks beside their places by more, then like placements may look different.
@@ -37,7 +37,7 @@ def cell_key(x: int, y: int, z: int) -> np.uint64:
     return _mix((a << np.uint64(42)) ^ (b << np.uint64(21)) ^ c ^ np.uint64(0x9E3779B97F4A7C15))
 
 
-@njit(cache=True)
+@kernel
 def object_offsets(
     nodes: np.ndarray,
     object_id: np.ndarray,
@@ -59,7 +59,7 @@ def object_offsets(
     return count
 
 
-@njit(cache=True)
+@kernel
 def fill_cells(
     nodes: np.ndarray,
     reference: int,
@@ -91,7 +91,7 @@ def fill_cells(
     return key
 
 
-@njit(cache=True)
+@kernel
 def enter(
     table: np.ndarray, stamp: int, stamps: np.ndarray, keys: np.ndarray, key: np.uint64, number: int
 ) -> int:
@@ -109,7 +109,7 @@ def enter(
     return number
 
 
-@njit(cache=True)
+@kernel
 def _keys(nodes, object_id, targets, first, used, spec, out):
     offsets = np.empty((MAX_CELLS, 3))
     cells = np.empty((MAX_CELLS, 3))
@@ -139,7 +139,7 @@ HAND_REACH, FINGER_REACH = 2.25, 1.25
 that cell and beside it [pitches]."""
 
 
-@njit(cache=True)
+@kernel
 def in_the_way(
     nodes: np.ndarray, object_id: np.ndarray, block: int, other: int, turns: int, pitch: float
 ) -> bool:
@@ -157,7 +157,7 @@ def in_the_way(
     return abs(x) < 0.75 * pitch and abs(y) < reach * pitch
 
 
-@njit(cache=True)
+@kernel
 def choose(
     nodes: np.ndarray,
     object_id: np.ndarray,
@@ -229,7 +229,7 @@ class Placements(NamedTuple):
         return np.arange(self.action.shape[1]) < self.count[:, None]
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _enter_cell(table, row, stamps, keys, cell, cells, num_cells):
     """Number of a cell among the ``num_cells[row]`` known ones in ``cells`` float32[K, 3]; a new
     one is entered as the next. -1 where there is no room."""
@@ -244,7 +244,7 @@ def _enter_cell(table, row, stamps, keys, cell, cells, num_cells):
     return number
 
 
-@njit(cache=True)
+@kernel
 def _enumerate(
     nodes,
     object_id,
@@ -382,7 +382,7 @@ def distinct_placements(graph: Graph, spec: ActionSpec) -> Placements:
     )
 
 
-@njit(cache=True)
+@kernel
 def _locate(nodes, object_id, num_targets, num_placed, num_nodes, spec, action, count, keys, out):
     offsets = np.empty((MAX_CELLS, 3))
     cells = np.empty((MAX_CELLS, 3))

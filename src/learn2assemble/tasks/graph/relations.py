@@ -13,9 +13,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from learn2assemble.constants import EDGE, HALF
+from learn2assemble.kernels import kernel
 from learn2assemble.tasks.graph.features import Graph
 from learn2assemble.tasks.graph.placements import Placements, in_the_way
 from learn2assemble.tasks.world.blocks import ActionSpec, quarter_turn
@@ -50,12 +50,12 @@ class Relations(NamedTuple):
     """float32[B]: area of all outlines [block faces]."""
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _clip(value, limit):
     return min(max(value, -limit), limit)
 
 
-@njit(cache=True)
+@kernel
 def _line(a, b, turn, x, z, out):
     """The first nine features: the edge from corner ``a`` to ``b`` seen from the cell (x, z)."""
     ax, az = (a[0] - x) / EDGE, (a[1] - z) / EDGE
@@ -73,7 +73,7 @@ def _line(a, b, turn, x, z, out):
     out[_END], out[_END + 1] = _clip(bx, 6.0) / 2, _clip(bz, 6.0) / 2
 
 
-@njit(cache=True)
+@kernel
 def offset_number(right: float, out: float, up: float, pitch: float) -> int:
     """Number of an offset [m] to the right, outward and up, in whole cells up to ``REACH``."""
     i = int(_clip(np.rint(right / pitch), REACH)) + REACH
@@ -82,7 +82,7 @@ def offset_number(right: float, out: float, up: float, pitch: float) -> int:
     return (i * WINDOW + j) * WINDOW + k
 
 
-@njit(cache=True)
+@kernel
 def _relate(
     nodes,
     object_id,
@@ -210,14 +210,14 @@ class Hands(NamedTuple):
     does not reach everywhere."""
 
 
-@njit(cache=True)
+@kernel
 def _seen(origin, other, turns, pitch):
     """Number of the offset from ``origin`` to ``other`` [m] for a hand turned by quarter turns."""
     x, y = quarter_turn(other[0] - origin[0], other[1] - origin[1], -turns % 4)
     return offset_number(x, -y, other[2] - origin[2], pitch)
 
 
-@njit(cache=True)
+@kernel
 def _look(
     nodes,
     object_id,

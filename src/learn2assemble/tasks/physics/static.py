@@ -10,9 +10,9 @@ decide (supports that overhang or have drifted) goes to the equilibrium program 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from learn2assemble.constants import EDGE, HALF
+from learn2assemble.kernels import kernel
 from learn2assemble.tasks.physics.protocol import PlacementVerdict
 from learn2assemble.tasks.physics.support import (
     BALANCE_TOLERANCE,
@@ -33,7 +33,7 @@ from learn2assemble.tasks.world.state import State
 NUM_RELATIONS = len(DIRECTIONS)
 
 
-@njit(cache=True)
+@kernel
 def _only_cubes(object_id, row, count):
     only = True
     for k in range(1, count):
@@ -41,7 +41,7 @@ def _only_cubes(object_id, row, count):
     return only
 
 
-@njit(cache=True)
+@kernel
 def _settle(state, rows, verdict):
     for n in range(len(rows)):
         row = rows[n]
@@ -54,7 +54,7 @@ def _settle(state, rows, verdict):
             verdict[n] = classify_object(state.position[row], first, count, HALF)
 
 
-@njit(cache=True)
+@kernel
 def _survey(state, pitch, verdict):
     for row in range(len(state.num_placed)):
         placed = state.num_placed[row]
@@ -117,7 +117,7 @@ def survey(state: State, pitch: float = EDGE) -> np.ndarray:
     return verdict
 
 
-@njit(cache=True)
+@kernel
 def _try_object(state, row, unplaced, reference, action, spec, position):
     """Verdict on one placement; its cells follow the placed ones in ``position``: (verdict, n)."""
     placed = state.num_placed[row]
@@ -140,7 +140,7 @@ def _try_object(state, row, unplaced, reference, action, spec, position):
     return classify_object(position, placed, count, HALF), count
 
 
-@njit(cache=True)
+@kernel
 def _same_object(state, row, a, b):
     """Whether two waiting blocks have the same cells around them, in the same order."""
     placed, blocks = state.num_placed[row], state.num_blocks[row]
@@ -158,7 +158,7 @@ def _same_object(state, row, a, b):
     return True
 
 
-@njit(cache=True)
+@kernel
 def _try_objects(state, row, spec, position, verdict):
     for unplaced in range(verdict.shape[0]):
         for earlier in range(unplaced):

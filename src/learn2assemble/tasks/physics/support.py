@@ -19,7 +19,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from learn2assemble.kernels import kernel
 
 OVERLAP_TOLERANCE = 2e-3
 """Two boxes overlap when they penetrate by more than this along every axis [m]."""
@@ -31,7 +32,7 @@ CENTRED_TOLERANCE = 1e-3
 STABLE, OVERLAP, BELOW_GROUND, FLOATING, UNDECIDED, UNSTABLE = 0, 1, 2, 3, 4, 5
 
 
-@njit(cache=True)
+@kernel
 def classify_cube(
     position: np.ndarray, count: int, x: float, y: float, z: float, half: float
 ) -> int:
@@ -75,7 +76,7 @@ _MAX_PATCHES = 12
 and more for tolerances."""
 
 
-@njit(cache=True)
+@kernel
 def find_fillers(
     position: np.ndarray, first: int, count: int, half: float, centre: np.ndarray
 ) -> int:
@@ -108,7 +109,7 @@ def filler_centres(cells: np.ndarray, half: float) -> np.ndarray:
     return found[: find_fillers(np.ascontiguousarray(cells), 0, len(cells), half, found)]
 
 
-@njit(cache=True)
+@kernel
 def reaches_ground(position: np.ndarray, count: int, cube: int, half: float) -> bool:
     """Whether straight below ``cube`` one cube of ``position[:count]`` follows on the other."""
     while True:
@@ -129,7 +130,7 @@ def reaches_ground(position: np.ndarray, count: int, cube: int, half: float) -> 
         cube = below
 
 
-@njit(cache=True)
+@kernel
 def outside_hull(points: np.ndarray, count: int, x: float, y: float, tolerance: float) -> bool:
     """Whether (x, y) is more than ``tolerance`` beyond an edge of the hull of ``points[:count]``.
 
@@ -159,7 +160,7 @@ def outside_hull(points: np.ndarray, count: int, x: float, y: float, tolerance: 
     return False
 
 
-@njit(cache=True)
+@kernel
 def classify_object(position: np.ndarray, first: int, count: int, half: float) -> int:
     """Verdict on the object with cells ``position[first:count]`` against ``position[:first]``.
 

@@ -14,10 +14,10 @@ from functools import lru_cache
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from numba import njit
 
 from learn2assemble.constants import EDGE
 from learn2assemble.errors import InputError, check_instance, check_name, is_whole
+from learn2assemble.kernels import kernel
 from learn2assemble.registry import PLAIN_NAME, Registry, is_plain_name
 
 GRAVITY = 10.0
@@ -95,7 +95,7 @@ def get_action_spec(
 _Number = TypeVar("_Number", int, float)
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def quarter_turn(x: _Number, y: _Number, turns: int) -> tuple[_Number, _Number]:
     """``(x, y)`` after ``turns`` (0..3) quarter turns to the left, seen from above; exact."""
     if turns == 1:
@@ -268,12 +268,12 @@ def inventory(name: str) -> Inventory:
     return Inventory(kind, cells, sizes, turned, shuffled, members, group_sizes)
 
 
-@njit(cache=True)
+@kernel
 def _below(rng, limit):
     return int(rng.random() * limit)
 
 
-@njit(cache=True)
+@kernel
 def _choose_shapes(rng, stock, count, chosen):
     """Shapes of a list of objects with ``count`` cells together; returns their number."""
     total = first = 0
@@ -304,7 +304,7 @@ def _choose_shapes(rng, stock, count, chosen):
     return total
 
 
-@njit(cache=True)
+@kernel
 def draw_objects(
     rng: np.random.Generator,
     stock: Inventory,

@@ -27,8 +27,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
+
+from learn2assemble.kernels import kernel
 
 IMAGE_SIZE = 100
 """Rows and columns of the square image [px]."""
@@ -43,13 +45,13 @@ HALF_EXTENT = FACE_DEPTH * TAN_HALF_FOV
 """Half the width of the image at the face plane [m]."""
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def project(x: float, z: float) -> tuple[float, float]:
     """Image point ``(u, v)`` [px, v down] of ``(x, z)`` [m] in the face plane."""
     return CENTRE * (1 + x / HALF_EXTENT), CENTRE * (1 - (z - CAMERA_Z) / HALF_EXTENT)
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def unproject(u: float, v: float) -> tuple[float, float]:
     """Inverse of :func:`project`."""
     return (u / CENTRE - 1) * HALF_EXTENT, (1 - v / CENTRE) * HALF_EXTENT + CAMERA_Z
@@ -67,13 +69,13 @@ def _ctpop(typingctx, word):
     return types.uint64(types.uint64), codegen
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def popcount(word: np.uint64) -> np.uint64:
     """Number of ones in an unsigned 64-bit word (one machine instruction)."""
     return _ctpop(word)  # pyright: ignore[reportCallIssue]
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def span_word(first: int, last: int, word: int) -> np.uint64:
     """The bits of columns ``first..last`` (inclusive) that fall in word number ``word``."""
     low = max(first - 64 * word, 0)
@@ -90,7 +92,7 @@ def to_pixels(image: np.ndarray) -> np.ndarray:
     return np.unpackbits(octets, -1, IMAGE_SIZE, "little").astype(bool)
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def pixel_vertex(x: float, z: float) -> tuple[int, int]:
     """Vertex ``(x, z)`` [m] as an integer image point, rounded towards the image centre."""
     u, v = project(x, z)
@@ -99,7 +101,7 @@ def pixel_vertex(x: float, z: float) -> tuple[int, int]:
     return int(iu), int(iv)
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _clip_row(au, av, bu, bv, v, low, high):
     """Columns of row ``v`` within ``low..high`` strictly right of the directed edge a->b."""
     du, dv = bu - au, bv - av
@@ -115,7 +117,7 @@ def _clip_row(au, av, bu, bv, v, low, high):
     return low, high
 
 
-@njit(cache=True)
+@kernel
 def paper_mask(vertices: np.ndarray, count: int, mask: np.ndarray) -> int:
     """Write the mask of one side into ``mask`` and return its number of pixels.
 
@@ -183,7 +185,7 @@ FILTERS = {"narrow": NARROW, "wide": WIDE}
 """Depth filters by name: without a robot, with a robot."""
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _add_box(image, x, y, z, half, depth_limit):
     """Add the pixels whose ray meets the axis-aligned cube before ``depth_limit`` to ``image``."""
     d0 = max(y - half - CAMERA_Y, NEAR_CLIP)
@@ -216,7 +218,7 @@ def _add_box(image, x, y, z, half, depth_limit):
             image[row, w] |= span_word(c0, c1, w)
 
 
-@njit(cache=True)
+@kernel
 def add_box(
     covered: np.ndarray,
     occluded: np.ndarray,
@@ -231,7 +233,7 @@ def add_box(
     _add_box(occluded, x, y, z, half - depths.margin, depths.hiding)
 
 
-@njit(cache=True)
+@kernel
 def clear_to_ground(
     covered: np.ndarray, occluded: np.ndarray, depths: DepthFilter = NARROW
 ) -> None:
@@ -245,7 +247,7 @@ def clear_to_ground(
             occluded[row, w] = full if depth <= depths.hiding else np.uint64(0)
 
 
-@njit(cache=True)
+@kernel
 def count_cover(
     mask: np.ndarray, covered: np.ndarray, occluded: np.ndarray, first: int, last: int
 ) -> tuple[int, int]:

@@ -9,10 +9,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from learn2assemble.constants import EDGE, HALF
 from learn2assemble.errors import InputError, check_name
+from learn2assemble.kernels import kernel
 from learn2assemble.tasks.world.blocks import Inventory, draw_objects
 from learn2assemble.tasks.world.coverage import NARROW, DepthFilter, paper_mask
 from learn2assemble.tasks.world.rules import count_row, recover_all
@@ -160,12 +160,12 @@ class Problems(NamedTuple):
     normalise: bool
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _cross(ax, az, bx, bz, px, pz):
     return (bx - ax) * (pz - az) - (bz - az) * (px - ax)
 
 
-@njit(cache=True)
+@kernel
 def sample_outline(rng: np.random.Generator, grid: int, vertices: np.ndarray) -> int:
     """Draw an outline of 3, 4 or 5 vertices into ``vertices`` (local x, z [m]); gives the count."""
     a, height = HALF * grid, EDGE * grid
@@ -193,7 +193,7 @@ def sample_outline(rng: np.random.Generator, grid: int, vertices: np.ndarray) ->
     return count
 
 
-@njit(cache=True)
+@kernel
 def leaves_training_box(rng: np.random.Generator, vertices: np.ndarray, count: int) -> bool:
     """Whether an outline has a vertex outside the 3x3 training box, as unseen shapes do."""
     half, height = TRAINING_BOX
@@ -210,7 +210,7 @@ def leaves_training_box(rng: np.random.Generator, vertices: np.ndarray, count: i
     return count == 5 and vertices[2, 1] > height
 
 
-@njit(cache=True)
+@kernel
 def _step_back(position, first, start, stop, apart):
     """Move cells ``start:stop`` in -y until they keep their distance from ``first:start``."""
     clear = False
@@ -230,7 +230,7 @@ def _step_back(position, first, start, stop, apart):
                 position[k, 1] -= EDGE
 
 
-@njit(cache=True)
+@kernel
 def scatter(rng: np.random.Generator, position: np.ndarray, apart: float) -> bool:
     """Draw random places for cubes before and behind the structure.
 
@@ -264,7 +264,7 @@ def scatter(rng: np.random.Generator, position: np.ndarray, apart: float) -> boo
     return True
 
 
-@njit(cache=True)
+@kernel
 def _spread(position, object_id, waiting, apart, x, y, num_blocks):
     """First object to (x, y) on the ground, the others to their places; gives its cells."""
     placed = 0
@@ -285,7 +285,7 @@ def _spread(position, object_id, waiting, apart, x, y, num_blocks):
     return placed
 
 
-@njit(cache=True)
+@kernel
 def start_objects(
     state: State,
     row: int,
@@ -324,7 +324,7 @@ def start_objects(
     state.initial_pixels[row] = state.plane_pixels[row]
 
 
-@njit(cache=True)
+@kernel
 def sample_problem(
     state: State,
     row: int,

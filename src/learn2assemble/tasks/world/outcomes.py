@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from learn2assemble.constants import HALF
+from learn2assemble.kernels import kernel
 from learn2assemble.tasks.physics.support import STABLE, UNDECIDED, classify_cube, classify_object
 from learn2assemble.tasks.world.blocks import ActionSpec
 from learn2assemble.tasks.world.coverage import NARROW, DepthFilter, add_box, count_cover
@@ -41,7 +41,7 @@ class Outcomes(NamedTuple):
     """float32[B, P]: change of F_pl, negative where it hides a side; 0 where invalid."""
 
 
-@njit(cache=True)
+@kernel
 def _verdict(position, object_id, placed, count):
     """Static verdict on the object with cells ``position[placed:count]``."""
     # The column rule for cubes holds only where everything that stands is a cube, too.
@@ -54,7 +54,7 @@ def _verdict(position, object_id, placed, count):
     return classify_object(position, placed, count, HALF)
 
 
-@njit(cache=True)
+@kernel
 def _cover(state, row, frames, depths, position, placed, count, covered, occluded):
     """Plane and complete cover with the cells ``position[placed:count]`` added."""
     first, last = state.mask_rows[row, 0], state.mask_rows[row, 1]
@@ -77,7 +77,7 @@ def _cover(state, row, frames, depths, position, placed, count, covered, occlude
     return plane, complete
 
 
-@njit(cache=True)
+@kernel
 def _try_all(
     state,
     actions,

@@ -6,9 +6,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
 from learn2assemble.constants import EDGE, HALF
+from learn2assemble.kernels import kernel
 from learn2assemble.tasks.world.blocks import DIRECTIONS, quarter_turn
 from learn2assemble.tasks.world.coverage import (
     NARROW,
@@ -31,7 +31,7 @@ SCALED_GAIN = 3.0
 """c1 of the scaled reward (paper, equation 6 of the appendix)."""
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def rotate(
     quaternion: np.ndarray, vector: np.ndarray | tuple[float, float, float]
 ) -> tuple[float, float, float]:
@@ -46,7 +46,7 @@ def rotate(
     )
 
 
-@njit(cache=True)
+@kernel
 def target_cell(
     state: State, row: int, reference: int, relation: int, pitch: float = EDGE
 ) -> tuple[float, float, float]:
@@ -62,7 +62,7 @@ def target_cell(
     return p[0] + step * dx, p[1] + step * dy, p[2] + step * dz
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def object_span(
     object_id: np.ndarray, row: int, start: int, stop: int, block: int
 ) -> tuple[int, int]:
@@ -79,7 +79,7 @@ def object_span(
     return low, high
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def waiting_level(z: float) -> float:
     """How far a waiting cell with node height ``z`` stands above those on the table [m].
 
@@ -88,7 +88,7 @@ def waiting_level(z: float) -> float:
     return EDGE * np.floor(z / EDGE + 0.25)
 
 
-@njit(cache=True)
+@kernel
 def lay_object(
     state: State,
     row: int,
@@ -133,7 +133,7 @@ def lay_object(
     return n
 
 
-@njit(cache=True)
+@kernel
 def move_cell(
     state: State, row: int, source: int, reference: int, x: float, y: float, z: float
 ) -> None:
@@ -159,7 +159,7 @@ def move_cell(
     state.num_placed[row] = placed + 1
 
 
-@njit(cache=True)
+@kernel
 def move_block(
     state: State,
     row: int,
@@ -187,14 +187,14 @@ def move_block(
         move_cell(state, row, k, reference, cells[n, 0], cells[n, 1], cells[n, 2])
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def last_object(state: State, row: int) -> int:
     """First cell of the object placed last; it reaches to ``num_placed``."""
     placed = state.num_placed[row]
     return object_span(state.object_id, row, 0, placed, placed - 1)[0]
 
 
-@njit(cache=True)
+@kernel
 def cover_block(
     state: State, row: int, frames: np.ndarray, block: int, depths: DepthFilter = NARROW
 ) -> None:
@@ -207,7 +207,7 @@ def cover_block(
         add_box(state.covered[row, side], state.occluded[row, side], x, y, p[2], HALF, depths)
 
 
-@njit(cache=True)
+@kernel
 def recover_all(state: State, row: int, frames: np.ndarray, depths: DepthFilter = NARROW) -> None:
     """Recompute the pixel sets of a row from every placed block (needed once blocks have moved)."""
     for side in range(frames.shape[0]):
@@ -216,7 +216,7 @@ def recover_all(state: State, row: int, frames: np.ndarray, depths: DepthFilter 
         cover_block(state, row, frames, block, depths)
 
 
-@njit(cache=True)
+@kernel
 def count_row(state: State, row: int) -> None:
     """Refresh ``plane_pixels`` and ``complete_pixels`` from the pixel sets."""
     plane, complete = 0, 0
@@ -231,7 +231,7 @@ def count_row(state: State, row: int) -> None:
     state.complete_pixels[row] = complete
 
 
-@njit(cache=True)
+@kernel
 def reward_and_success(
     mask_pixels: int,
     initial_pixels: int,
@@ -255,7 +255,7 @@ def reward_and_success(
     return reward, success
 
 
-@njit(cache=True)
+@kernel
 def reward_and_end(
     state: State, row: int, previous_plane: int, valid: bool, reward_kind: int, threshold: float
 ) -> tuple[float, bool, bool]:
@@ -277,7 +277,7 @@ def reward_and_end(
     return reward, terminated, success
 
 
-@njit(cache=True)
+@kernel
 def observe_row(
     state: State, row: int, frames: np.ndarray, nodes: np.ndarray, object_id: np.ndarray
 ) -> int:
