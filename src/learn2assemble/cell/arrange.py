@@ -103,7 +103,7 @@ class Structure:
             if abs(up) <= LEANING:
                 continue
             self.leans = self.leans or abs(up) < 1 - LEANING
-            lower, upper = (a, b) if up > 0 else (b, a)
+            lower, upper = (int(a), int(b)) if up > 0 else (int(b), int(a))
             if lower >= 0 and upper >= 0 and lower in self._there[upper]:
                 self.below[upper].add(lower)
                 self.above[lower].add(upper)
@@ -205,7 +205,7 @@ class Structure:
 
     def loads(self, block: int, standing: set[int]) -> list[int]:
         """Pieces among ``standing`` that rest on a piece, directly or not, the topmost first."""
-        found, queue = [], [block]
+        found, queue = list[int](), [block]
         for one in queue:
             for upper in sorted(self.above[one] & standing):
                 if upper not in found:

@@ -337,7 +337,8 @@ def _ends(checker: WorldChecker, path: ApproachPath) -> Iterator[ApproachPath]:
         count += 1
     while path.rise[count - 1] >= STRAIGHT:
         yield ApproachPath(path.joints[:count], path.rise[:count])
-        count = int(np.searchsorted(path.rise, path.rise[count - 1] - OUT_STEP)) or 1
+        lower = float(path.rise[count - 1]) - OUT_STEP
+        count = int(np.searchsorted(path.rise, lower)) or 1
 
 
 def straight(attempts: Attempts, order: Order, joints: np.ndarray) -> Course:

@@ -173,7 +173,7 @@ class BrickStructure(Structure):
         beside = world.beside.copy()
         if group:
             beside[list(moving)] = 0.0
-        found = []
+        found = list[StudJoint]()
         for (a, b), joint in self._joints.items():
             there = [k for k in (a, b) if k != GROUND]
             if any(k not in row for k in there) or not all(

@@ -155,7 +155,7 @@ class Building:
 
     def _run(self, progress: Progress, go_on: Callable[[Action], bool]) -> str | None:
         if not self.known.done:
-            self._look()
+            self.look()
         most = 2 * len(self.known.order) + 20
         while len(self.known.done) < most:
             action = self.known.choose()
@@ -236,7 +236,7 @@ class Building:
         self.sight.pause = self._pause
         try:
             if lost is None:
-                self._look(k)
+                self.look(k)
         except PlantError as error:
             lost = error
         if lost is not None:
@@ -321,7 +321,7 @@ class Building:
             world.hide(k)
         else:
             world.state[k], world.pose[k] = STANDING, action.goal
-        self._look(k)
+        self.look(k)
         self.known.done.append(Done(number, k, what, Outcome.REACHED.label, "", "", hand=True))
         self.known.refused.clear()
         self.recording.sync()
@@ -412,7 +412,7 @@ class Building:
         """Wait, standing still."""
         self.plant.execute(standing("home", self.joints, seconds))
 
-    def _look(self, k: int | None = None) -> None:
+    def look(self, k: int | None = None) -> None:
         """See where everything is.
 
         Args:
@@ -420,7 +420,7 @@ class Building:
         """
         world = self.world
         needed = {world.names[n] for n in world.visible()} | (
-            {world.names[k]} if k is not None else set()
+            {world.names[k]} if k is not None else set[str]()
         )
         self.sight.look(needed)
         for n in world.visible():

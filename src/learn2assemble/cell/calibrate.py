@@ -184,7 +184,7 @@ def _changed(root: dict[str, Any], site: Site, found: Calibrated) -> dict[str, A
             "lean": _rounded(turn[:2, 2]),
             "covariance": [_digits(row) for row in found.base_covariance],
         }
-    entries = []
+    entries = list[dict[str, Any]]()
     for entry, old, new in zip(root.get("cameras", []), site.cameras, found.cameras, strict=True):
         if new is not old:
             entry = {k: v for k, v in entry.items() if k != "look_at"}
@@ -260,7 +260,7 @@ def _tags(
     lying = {tag.number: tag for tag in told.tags}
     if len(lying) < len(told.tags):
         raise InputError(f"{source}: tags", "two of one number", "every number once")
-    found = []
+    found = list[TagSighting]()
     for k, one in enumerate(told.pictures):
         where = f"{source}: pictures[{k}]"
         check_name(f"{where}.camera", one.camera, cameras)

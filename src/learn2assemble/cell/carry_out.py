@@ -6,7 +6,7 @@ import hashlib
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 
@@ -58,6 +58,18 @@ def prepare(
         return Prepared(job, bricks, arrange_bricks([Hands(job, cell)], bricks, progress), cell)
     structure = Structure(job)
     return Prepared(job, structure, arrange(job, structure, cell, progress), cell)
+
+
+class Restorable(Protocol):
+    """A plant whose world can be kept in a file."""
+
+    def state(self) -> dict[str, Any]:
+        """The world as it is."""
+        ...
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """The world as it was."""
+        ...
 
 
 def carry_out(
@@ -112,7 +124,8 @@ def carry_out(
     seen = through_cameras(plant, setup, job.pieces, workcell.site.cameras)
     kept = None
     if hasattr(seen, "state") and hasattr(seen, "restore"):
-        kept = Kept(seen.state, seen.restore)  # pyright: ignore[reportAttributeAccessIssue]
+        world = cast("Restorable", seen)
+        kept = Kept(world.state, world.restore)
     words, witness = words_of(job, workcell), Witness(plant)
     try:
         building = Building(found, workcell, seen, words, key_of(plan, workcell), kept, witness)
@@ -181,7 +194,7 @@ def key_of(plan: Plan, workcell: Workcell) -> str:
     """What a build must have in common with the one it goes on from."""
     steps = [(s.block, s.action, s.kind, s.position) for s in plan.steps]
     # A magazine that ran empty may have been filled again.
-    filled = tuple(magazine._replace(count=None) for magazine in workcell.site.magazines)
+    filled = tuple(replace(magazine, count=None) for magazine in workcell.site.magazines)
     site = replace(workcell.site, magazines=filled, source="")
     told = (
         steps,

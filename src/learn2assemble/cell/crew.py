@@ -172,7 +172,7 @@ class ArmCrew:
         if self._leans:
             standing = set(np.flatnonzero(state.present).tolist())
             into = ways_in(self._contacts, block, standing)
-        count, seen = 0, set()
+        count, seen = 0, set[object]()
         for at, goal in ends_of(world, StepOf(block)):
             assert at is not None
             world.pose[block] = at

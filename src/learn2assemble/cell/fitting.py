@@ -172,7 +172,7 @@ class Fitting:
         below = {near.other for near in beds} & set(standing)
         if not below:
             return goal
-        steps = []
+        steps = list[np.ndarray]()
         for other in sorted(below):
             meant = self.world.target(other)
             step = self._step(other, meant)

@@ -201,7 +201,7 @@ class InTurn(Together[Cell]):
 
     def _attempts(self, who: int, progress: Progress) -> str | None:
         building = self.buildings[who]
-        building._look()
+        building.look()
         while self.now < len(self.steps) and self.over is None:
             step = self.steps[self.now]
             if step.action in ("hold", "release") and step.block not in self.holds:
@@ -318,7 +318,7 @@ def boxes_of(arm: Arm, joints: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray
     """Boxes around an arm that stands at joints float64[n] [rad], and what others keep from it:
     poses float64[7] and half extents float64[3] [m]."""
     capsules = capsules_of(arm)
-    found = []
+    found = list[tuple[np.ndarray, np.ndarray]]()
     lines = placed(get_chain(arm), capsules, joints[None].copy())[0]
     for (a, b), radius in zip(lines, capsules.radius.tolist(), strict=True):
         axis, length = b - a, float(np.linalg.norm(b - a))

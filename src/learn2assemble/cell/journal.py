@@ -91,8 +91,9 @@ def _unsealed(line: str) -> dict[str, Any]:
 def packed(value: Any) -> Any:
     """A step of a record, or a value in it, as JSON can write it."""
     if isinstance(value, np.ndarray):
-        data = zlib.compress(np.ascontiguousarray(value, float).tobytes(), 6)
-        return [list(value.shape), base64.b64encode(data).decode("ascii")]
+        numbers: np.ndarray = np.ascontiguousarray(value, float)
+        data = zlib.compress(numbers.tobytes(), 6)
+        return [list(numbers.shape), base64.b64encode(data).decode("ascii")]
     if isinstance(value, StepRecord | Samples):
         return {f.name: packed(getattr(value, f.name)) for f in dataclasses.fields(value)}
     return value
@@ -106,16 +107,15 @@ def _array(value: list[Any]) -> np.ndarray:
 def _unpacked(value: dict[str, Any]) -> StepRecord:
     samples = Samples(**{name: _array(array) for name, array in value["samples"].items()})
     arrays = {name: _array(value[name]) for name in ("target", "before", "after")}
-    return StepRecord(
-        **{
-            **value,
-            **arrays,
-            "samples": samples,
-            "cells": tuple(value["cells"]),
-            "stages": tuple(Stage(*stage) for stage in value["stages"]),
-            "outcome": Outcome(value["outcome"]),
-        }
-    )
+    fields: dict[str, Any] = {
+        **value,
+        **arrays,
+        "samples": samples,
+        "cells": tuple(value["cells"]),
+        "stages": tuple(Stage(*stage) for stage in value["stages"]),
+        "outcome": Outcome(value["outcome"]),
+    }
+    return StepRecord(**fields)
 
 
 class Recording:
@@ -198,10 +198,12 @@ class Recording:
     def numbers(self, rows: Rows) -> np.ndarray:
         """int64[n]: cell of the record of each row; -1: none."""
         fixed = [*self.fixed, *[-1] * (len(rows.owner) - len(self.fixed))]
+        owners: list[int] = rows.owner.tolist()
+        parts: list[int] = rows.part.tolist()
         return np.array(
             [
                 fixed[part] if owner < 0 else self.cells[self.body[owner]][part]
-                for owner, part in zip(rows.owner, rows.part, strict=True)
+                for owner, part in zip(owners, parts, strict=True)
             ]
         )
 

@@ -192,7 +192,7 @@ def symmetries(shape: Shape) -> tuple[np.ndarray, ...]:
     """Rotations about the origin that leave a shape as it is, the one that does nothing first."""
     points = body_of(shape).hull.points
     middle, solid = points.mean(0), _solid(shape) if len(shape) > 1 else None
-    found = []
+    found = list[np.ndarray]()
     for turn in map(_exact, rotations_onto(points, points, GRAIN)):
         if np.linalg.norm(turn @ middle - middle) > GRAIN:
             continue  # It is one about another point.
@@ -209,9 +209,10 @@ def _solid(shape: Shape) -> Any:
     """A shape as solid of the library ``manifold3d``."""
     import manifold3d
 
-    whole = manifold3d.Manifold()
+    solid: Any = manifold3d.Manifold
+    whole = solid()
     for part in shape:
-        whole += manifold3d.Manifold.hull_points(part.points)
+        whole += solid.hull_points(part.points)
     return whole
 
 
@@ -325,14 +326,15 @@ def _boxes(points: np.ndarray, faces: Sequence[tuple[int, ...]]) -> list[Part]:
     """
     import shapely
 
-    planes, numbers = [], np.empty(points.shape, int)
+    areas: Any = shapely
+    planes, numbers = list[np.ndarray](), np.empty(points.shape, int)
     for axis, values in enumerate(points.T):
         order = np.argsort(values)
         steps = np.concatenate([[True], np.diff(values[order]) > _FLAT])
         planes.append(values[order][steps])
         numbers[order, axis] = np.cumsum(steps) - 1
     x, y = np.indices([len(p) - 1 for p in planes[:2]])
-    columns = shapely.box(x, y, x + 1, y + 1)
+    columns = areas.box(x, y, x + 1, y + 1)
     begins = np.zeros((*x.shape, len(planes[2])))
     for face in faces:
         corners = numbers[list(face)]
@@ -340,9 +342,9 @@ def _boxes(points: np.ndarray, faces: Sequence[tuple[int, ...]]) -> list[Part]:
         if not flat.any():
             return []
         if flat[2]:
-            area = shapely.make_valid(shapely.Polygon(corners[:, :2]))
-            sign = -1 if shapely.LinearRing(corners[:, :2]).is_ccw else 1
-            begins[:, :, corners[0, 2]] += sign * shapely.area(shapely.intersection(columns, area))
+            area = areas.make_valid(areas.Polygon(corners[:, :2]))
+            sign = -1 if areas.LinearRing(corners[:, :2]).is_ccw else 1
+            begins[:, :, corners[0, 2]] += sign * areas.area(areas.intersection(columns, area))
     return _merged(planes, np.cumsum(begins, 2)[:, :, :-1] > 0.5)
 
 
@@ -375,7 +377,7 @@ def _three(vector: np.ndarray) -> tuple[float, float, float]:
 def _frame(block: Block) -> np.ndarray:
     """float64[3, 3]: axes of a block's frame as columns: z up where it has a face that is level,
     else out of the face opposite to its largest; x along its longer side."""
-    normals, areas, edges = [], [], []
+    normals, areas, edges = list[np.ndarray](), list[float](), list[np.ndarray]()
     for face in block.faces:
         corners = np.array(block.vertices[list(face)])
         across = np.cross(corners - corners[0], np.roll(corners, -1, 0) - corners[0]).sum(0)
@@ -452,7 +454,7 @@ def with_rests(pieces: Sequence[Piece], arm: Arm) -> tuple[Piece, ...]:
     """The pieces, waiting on the faces from which the tool of an arm turns them into their poses
     with the least tilt."""
     known: dict[tuple[Shape, tuple[float, float, float]], np.ndarray] = {}
-    out = []
+    out = list[Piece]()
     for piece in pieces:
         key = piece.shape, _three(piece.turn[2].round(6))
         if key not in known:

@@ -286,7 +286,7 @@ def check_held(arm: Arm, pieces: Sequence[Piece]) -> None:
             names.setdefault(why, []).append(piece.id)
     if not names:
         return
-    words = []
+    words = list[str]()
     for why, blocks in names.items():
         listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
         words.append(f"{listed}: {why}")
@@ -467,7 +467,8 @@ def supplied(
     taken = [*others, *(source.area.buffer(APART) for source in given)]
     taken += [outline(o).buffer(2 * APART) for o in job.obstacles if o.bottom < OVERHEAD]
     taken.append(shapely.Point(*job.base).buffer(0.16))
-    table = shapely.box(*(-np.array(site.table) / 2), *(np.array(site.table) / 2))
+    library: Any = shapely
+    table = library.box(*(-np.array(site.table) / 2), *(np.array(site.table) / 2))
     made: list[Source] = []
     for shape in missing:
         found = (
@@ -558,7 +559,7 @@ def _waiting(
 ) -> list[tuple[Rows, list[Move]]]:
     """Scenes in which a block waits at the origin in each of the ways it may, and the moves with
     which it can be lifted above everything."""
-    found = []
+    found = list[tuple[Rows, list[Move]]]()
     for rest in rests:
         number = next(
             k for k, p in enumerate(world.pieces) if p.shape == shape and turn_key(p.rest) == rest

@@ -24,7 +24,7 @@ from learn2assemble.motion.record import BuildRecord
 from learn2assemble.planning.plan import Plan, Step
 from learn2assemble.planning.reports import ArmFailure, ArmReport
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.bodies import Solid, solids
+from learn2assemble.robot.bodies import Shape, Solid, solids
 from learn2assemble.robot.moves import Outcome
 
 EXACT = 1e-6
@@ -146,7 +146,8 @@ def measure(building: Building, plant: object, others: set[int]) -> Measured:
     there = [k for k in every if k not in others]
     if not hasattr(plant, "truth") or not there:
         return Measured()
-    truth, shapes, worst = shown.truth(), getattr(plant, "shapes", dict)(), None
+    shapes: dict[str, Shape] = getattr(plant, "shapes", dict)()
+    truth, worst = shown.truth(), None
     away = np.array([0.0, 0.0, -1.0, 1.0, 0.0, 0.0, 0.0])
     poses = {k: truth.get(world.names[k], away) for k in every}
     errors = [float(np.linalg.norm(poses[k][:3] - world.drawn(k)[:3])) for k in there]

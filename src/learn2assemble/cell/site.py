@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -74,7 +74,8 @@ T = TypeVar("T")
 # ---------------------------------------------------------------- layouts
 
 
-class Magazine(NamedTuple):
+@dataclass(frozen=True)
+class Magazine:
     """Presents the next block of a kind."""
 
     kind: str
@@ -163,7 +164,7 @@ class Site:
     @property
     def kept_out(self) -> tuple[Obstacle, ...]:
         """The boxes that the arm may not enter, as what nothing may touch."""
-        found = []
+        found = list[Obstacle]()
         for k, (low, high) in enumerate(self.safety.keep_out):
             (u, v, _), (a, b, c) = np.add(low, high) / 2, np.subtract(high, low)
             at, name = (float(u), float(v)), f"safety.keep_out[{k}]"
@@ -214,8 +215,8 @@ def _site(value: Any, source: str, folder: Path) -> Site:
     if "arms" in root:
         if base is not None:
             raise InputError(f"{source}: base", "given", "none beside arms, which have their own")
-        given = root.get("magazines", ())
-        count = len(given) if isinstance(given, Sequence) else 0
+        given: Any = root.get("magazines", ())
+        count = len(cast("Sequence[object]", given)) if isinstance(given, Sequence) else 0
         arms = parse_arms(root["arms"], f"{source}: arms", count)
     site = Site(
         base,
@@ -253,7 +254,7 @@ def _obstacle(value: Any, where: str, folder: Path) -> list[Obstacle]:
         raise InputError(f"{where}.unit", unit, "the length of a unit of the file in metres")
     boxes = mesh_boxes(folder / text(given["mesh"], f"{where}.mesh"), unit, f"{where}.mesh")
     cos, sin = math.cos(yaw), math.sin(yaw)
-    found = []
+    found = list[Obstacle]()
     for low, high in boxes:
         (u, v, _), (a, b, c) = ((low + high) / 2).tolist(), (high - low).tolist()
         at = x + cos * u - sin * v, y + sin * u + cos * v
@@ -298,7 +299,7 @@ def _covering(triangles: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     corners, index = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
     whole = Manifold(Mesh64(corners, index.reshape(-1, 3).astype(np.uint64)))
 
-    def bounds(piece: Manifold) -> tuple[np.ndarray, np.ndarray]:
+    def bounds(piece: Any) -> tuple[np.ndarray, np.ndarray]:
         box = np.array(piece.bounding_box())
         return box[:3], box[3:]
 
@@ -483,7 +484,8 @@ def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[
     """
     import shapely
 
-    table = shapely.box(*(-np.array(site.table) / 2), *(np.array(site.table) / 2))
+    library: Any = shapely
+    table = library.box(*(-np.array(site.table) / 2), *(np.array(site.table) / 2))
     structure = shapely.union_all([p.face() for p in pieces if p.extent[0][2] < 1e-3])
     blocked = [(o.name, outline(o)) for o in site.obstacles]
     for k, (what, area) in enumerate(blocked):
@@ -515,7 +517,7 @@ def outline(obstacle: Obstacle) -> Any:
 def with_obstacles(site: Site, goals: Goals) -> Site:
     """A workcell with the obstacles of some goals, each from the table up, for nothing is built
     below them."""
-    found = []
+    found = list[Obstacle]()
     for low, high in goals.obstacles:
         size = high[0] - low[0], high[1] - low[1], high[2]
         found.append(Obstacle(((low[0] + high[0]) / 2, (low[1] + high[1]) / 2), size))

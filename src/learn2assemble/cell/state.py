@@ -7,7 +7,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -388,7 +388,7 @@ class Choice:
             return self.fitting.home(k, self.standing() & others)
 
     @contextmanager
-    def _joined(self, k: int, group: tuple[int, ...]) -> Iterator[set[int]]:
+    def _joined(self, k: int, group: tuple[int, ...]) -> Generator[set[int], None, None]:
         """Pieces of the part of the structure that a block comes to, without what it brings along;
         meanwhile that is taken to belong to the structure."""
         world, taken = self.world, [k, *group]

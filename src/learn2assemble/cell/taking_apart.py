@@ -84,6 +84,7 @@ def arrange_bricks(
     """
     every = tuple(range(len(arms[0].job.pieces)))
     part = _Subassembly(every, structure.states, {k: k for k in every})
+    search = None
     for room in ROOMS:
         for one in arms:
             one.cell.apart = room
@@ -92,6 +93,7 @@ def arrange_bricks(
         if steps is not None:
             break
     else:
+        assert search is not None
         told = sorted(search.stuck, key=lambda k: k not in search.why)
         stuck = {k: search.why.get(k, _NO_ORDER) for k in told}
         return Arranged((), stuck or dict.fromkeys(every, "it falls"))
@@ -187,7 +189,7 @@ class _Disassembly:
 
     def removals(self, part: _Subassembly, present: frozenset[int]) -> Iterator[_TakenOff]:
         """What may be taken off: alone, then with what it carries."""
-        over, covered = [set(a.tolist()) for a in self.structure.states.mates.over], []
+        over, covered = [set(a.tolist()) for a in self.structure.states.mates.over], list[int]()
         for b in (b for b in self.rank if b in present):
             rest = present - {b}
             loose = part.states.loose(part.of(rest))

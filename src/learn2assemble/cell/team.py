@@ -69,12 +69,13 @@ class TeamReach:
     @property
     def out(self) -> list[int]:
         """Blocks that none of them reaches."""
-        return sorted(set.intersection(*(set(reach.out) for reach in self.reaches)))
+        first, *others = (set(reach.out) for reach in self.reaches)
+        return sorted(first.intersection(*others))
 
     @property
     def both(self) -> int:
         """How many blocks each of them reaches."""
-        return self.count - len(set().union(*(reach.out for reach in self.reaches)))
+        return self.count - len(set[int]().union(*(reach.out for reach in self.reaches)))
 
 
 def team_reach(arms: Sequence[SiteArm], pieces: Sequence[Piece]) -> TeamReach:
@@ -120,7 +121,7 @@ def _placed(arms: Sequence[SiteArm], base: Base) -> tuple[SiteArm, ...]:
 def _reached(
     arms: Sequence[SiteArm], pieces: Sequence[Piece], which: Sequence[int] | None = None
 ) -> TeamReach:
-    found = []
+    found = list[Reach]()
     for one in arms:
         assert one.base is not None
         arm = place_arm(one.arm, one.tool or TOOL, one.base)

@@ -242,7 +242,7 @@ class Together(Generic[Cell]):
 
     def _attempts(self, who: int, progress: Progress) -> str | None:
         building, known = self.buildings[who], self.buildings[who].known
-        building._look()
+        building.look()
         most, idle = 2 * len(known.order) + 20, 0
         while len(known.done) < most:
             known.elsewhere, known.later = self._elsewhere(who), self._later(who)
@@ -334,7 +334,7 @@ class Together(Generic[Cell]):
         self.turns, self.begun = take_up(kept, self.buildings), kept[-1]["begun"]
         for who, building in enumerate(self.buildings):
             self.traffic.stands(who, building.joints, False)
-            building._look()
+            building.look()
             taken = building.presented()
             for k in taken:
                 building.hand_back(k)

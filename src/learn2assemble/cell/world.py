@@ -175,7 +175,7 @@ class WorkcellBlocks:
 
     def cells(self) -> list[tuple[int, ...]]:
         """Cells of every block: its parts, numbered through."""
-        out, count = [], 0
+        out, count = list[tuple[int, ...]](), 0
         for piece in self.pieces:
             out.append(tuple(range(count, count + len(piece.shape))))
             count += len(piece.shape)
@@ -203,7 +203,7 @@ class Rows(NamedTuple):
         row = int(np.flatnonzero(self.owner == piece)[0])
         assert self.scene.quaternion is not None
         turn = self.scene.quaternion[row]
-        centre = np.array(shape[self.part[row]].centre)
+        centre = np.array(shape[int(self.part[row])].centre)
         return np.array([*(self.scene.position[row] - quaternion_matrix(turn) @ centre), *turn])
 
 
