@@ -49,9 +49,9 @@ docs: $(STAMP)
 # A process for every core, each with one thread; one that is done takes over tests of the others.
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
-# Types take one core for a minute and the documents the other.
-test: $(COMPILED)
-	$(MAKE) --jobs 2 --output-sync=target lint docs
+# Types, documents and compiling take one core each for a minute.
+test: $(STAMP)
+	$(MAKE) --jobs 2 --output-sync=target $(COMPILED) lint docs
 	$(PYTEST)
 
 test-product test-tasks test-laboratory: $(COMPILED)

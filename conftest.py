@@ -37,7 +37,10 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Every test is of one part: the product, the tasks of the paper, the laboratory."""
+    """Every test is of one part: the product, the tasks of the paper, the laboratory.
+
+    The plug-in that puts them into a random order does it before this.
+    """
     part: dict[Path, str] = {}
     for item in items:
         if item.path not in part:
@@ -46,6 +49,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             lab = "laboratory" in item.path.parts
             part[item.path] = "laboratory" if lab else "tasks" if of_tasks else "product"
         item.add_marker(part[item.path])
+    # Long ones come first: none is begun when the other processes are out of work.
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
 @pytest.fixture(scope="session")

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import ast
 from collections import defaultdict
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "learn2assemble"
 LABORATORY = ROOT / "laboratory" / "src" / "l2a_lab"
-TREES = {
-    path: ast.parse(path.read_text(encoding="utf-8"))
-    for folder in (SOURCE, LABORATORY)
-    for path in sorted(folder.rglob("*.py"))
-}
 WING = {"tasks", "envs"}
 """The rooms of the paper, which have words of their own."""
 MOST_ARGUMENTS = 8
@@ -26,6 +22,16 @@ LONG = {
 """Functions that have more arguments, and why."""
 SAME_NAMES: dict[str, str] = {}
 """Class names that are used twice in the product, and why."""
+
+
+@cache
+def trees() -> dict[Path, ast.Module]:
+    """Every file of the product and the laboratory."""
+    return {
+        path: ast.parse(path.read_text(encoding="utf-8"))
+        for folder in (SOURCE, LABORATORY)
+        for path in sorted(folder.rglob("*.py"))
+    }
 
 
 def _place(path: Path) -> str:
@@ -51,7 +57,7 @@ def long_functions(tree: ast.Module) -> list[str]:
 def test_no_class_name_is_used_twice_in_the_product() -> None:
     """Private names, too; a leading underscore makes no other name."""
     homes = defaultdict(list)
-    for path, tree in TREES.items():
+    for path, tree in trees().items():
         if path.is_relative_to(SOURCE) and path.relative_to(SOURCE).parts[0] not in WING:
             for node in ast.walk(tree):
                 if isinstance(node, ast.ClassDef):
@@ -63,7 +69,7 @@ def test_no_class_name_is_used_twice_in_the_product() -> None:
 
 def test_functions_have_few_arguments() -> None:
     found = {
-        f"{_place(path)}:{name}" for path, tree in TREES.items() for name in long_functions(tree)
+        f"{_place(path)}:{name}" for path, tree in trees().items() for name in long_functions(tree)
     }
     assert found == LONG.keys()
 
@@ -80,7 +86,8 @@ def test_long_functions_are_seen() -> None:
 def test_the_formatter_decides() -> None:
     words = "# fmt: " + "skip"
     off = "# fmt: " + "off"
-    files = [p for p in ROOT.rglob("*.py") if not any(x.startswith(".") for x in p.parts)]
+    # Not what lies in folders like .venv, which are large.
+    files = [*ROOT.glob("*.py"), *(p for top in ROOT.glob("[!.]*/") for p in top.rglob("*.py"))]
     texts = [path.read_text(encoding="utf-8") for path in files]
     assert len(texts) > 200
     assert sum(text.count(words) for text in texts) <= 20

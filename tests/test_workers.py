@@ -14,8 +14,6 @@ from pathlib import Path
 import pytest
 
 from learn2assemble.errors import InputError, MissingExtraError, UnknownNameError
-from learn2assemble.tasks.learning.run import train_seeds
-from learn2assemble.tasks.networks.agent_file import bare_weights
 from learn2assemble.workers import MAX_DEATHS, WorkerError, run_all
 
 
@@ -171,6 +169,10 @@ def test_two_nodes_one_of_which_is_killed(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_seeds_differ_and_are_resumed(tmp_path: Path) -> None:
+    # Not at the top of this file, which every worker above loads.
+    from learn2assemble.tasks.learning.run import train_seeds
+    from learn2assemble.tasks.networks.agent_file import bare_weights
+
     options = {"samples": 60, "settings": ["network.width=8"], "device": "cpu"}
     runs = train_seeds("one-sided-3x3-22-24", tmp_path / "mine", seeds=2, **options)
     assert [run.out.name for run in runs] == ["mine-s0", "mine-s1"]

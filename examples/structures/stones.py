@@ -1,4 +1,7 @@
-"""A pile of stones, laid one by one: ``python examples/structures/stones.py [FOLDER [SEED]]``."""
+"""A pile of stones, laid one by one.
+
+``python examples/structures/stones.py [FOLDER [SEED [COUNT]]]``
+"""
 
 # pyright: reportAttributeAccessIssue=false
 import sys
@@ -205,7 +208,9 @@ def _placed(shape: l2a.Block, pose: np.ndarray) -> np.ndarray:
 def main() -> None:
     """Write the pile, its plan, and the page and picture of the plan."""
     out = Path(sys.argv[1] if len(sys.argv) > 1 else "out/stones")
-    assembly = stones(seed=int(sys.argv[2]) if len(sys.argv) > 2 else 0, laid=True)
+    seed = int(sys.argv[2]) if len(sys.argv) > 2 else 0
+    count = int(sys.argv[3]) if len(sys.argv) > 3 else 20
+    assembly = stones(count, seed, laid=True)
     out.mkdir(parents=True, exist_ok=True)
     l2a.write_assembly(assembly, out / f"{assembly.name}.json")
     print(assembly.name, l2a.check(assembly).verdict)
