@@ -56,7 +56,8 @@ def _register(name: str) -> None:
     environment = f"{NAMESPACE}/{name}-v{VERSION}"
     if environment not in registry:
         points = next(points for tasks, points in _ENVIRONMENTS if name in tasks)
-        gymnasium.register(environment, disable_env_checker=True, kwargs={"task": name}, **points)
+        library: Any = gymnasium  # Its types are known in part.
+        library.register(environment, disable_env_checker=True, kwargs={"task": name}, **points)
 
 
 _ENVIRONMENTS: tuple[tuple[Registry[Any], dict[str, Any]], ...] = (

@@ -52,7 +52,16 @@ def unflatten_action(task: Task, action: Index) -> tuple[Index, Index, Index]:
 
 # These two take single fields: handing a whole State to compiled code costs more than the work.
 @kernel
-def _resolve(num_vertices, num_placed, num_blocks, flat, num_nodes, num_actions, actions, clipped):
+def _resolve(
+    num_vertices: np.ndarray,
+    num_placed: np.ndarray,
+    num_blocks: np.ndarray,
+    flat: np.ndarray,
+    num_nodes: int,
+    num_actions: int,
+    actions: np.ndarray,
+    clipped: np.ndarray,
+) -> None:
     for row in range(len(flat)):
         targets = num_vertices[row].sum()
         placed, blocks = num_placed[row], num_blocks[row]
@@ -66,7 +75,14 @@ def _resolve(num_vertices, num_placed, num_blocks, flat, num_nodes, num_actions,
 
 
 @kernel
-def _fill(num_vertices, num_placed, num_blocks, terminated, allowed, mask):
+def _fill(
+    num_vertices: np.ndarray,
+    num_placed: np.ndarray,
+    num_blocks: np.ndarray,
+    terminated: np.ndarray,
+    allowed: np.ndarray,
+    mask: np.ndarray,
+) -> None:
     last = allowed.shape[1] - 1
     for row in range(len(mask)):
         if terminated[row]:
@@ -82,7 +98,7 @@ def _fill(num_vertices, num_placed, num_blocks, terminated, allowed, mask):
 
 
 @kernel
-def _middles(cells, members, count, out):
+def _middles(cells: np.ndarray, members: np.ndarray, count: np.ndarray, out: np.ndarray) -> None:
     """Middle of the cells that every placement fills; members are numbers of cells, -1 for none."""
     for row in range(len(count)):
         for n in range(count[row]):
@@ -97,7 +113,13 @@ def _middles(cells, members, count, out):
 
 
 @kernel
-def _named(local, count, terminated, allowed, mask):
+def _named(
+    local: np.ndarray,
+    count: np.ndarray,
+    terminated: np.ndarray,
+    allowed: np.ndarray,
+    mask: np.ndarray,
+) -> None:
     """Which placements are allowed, of those that are named by local indices."""
     last = allowed.shape[1] - 1
     for row in range(len(count)):

@@ -9,7 +9,7 @@ drawn without any GL, as text and as a small raster.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, cast
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -20,7 +20,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike
 
-from learn2assemble.envs.actions import ACTION_SPACES, PlacementActions, num_placement_actions
+from learn2assemble.envs.actions import (
+    ACTION_SPACES,
+    FlatActions,
+    PlacementActions,
+    num_placement_actions,
+)
 from learn2assemble.envs.drawing import draw_image, draw_text
 from learn2assemble.errors import InputError, UnknownNameError, is_whole
 from learn2assemble.tasks.graph.features import NUM_FEATURES, POSITION, Graph
@@ -100,7 +105,8 @@ class _Worlds:
         """For search and planning."""
         self.state: State = self.simulator.empty(count)
         """All worlds; copy it before you change it."""
-        self._actions = ACTION_SPACES[actions](self.simulator)
+        self.numbering: FlatActions | PlacementActions = ACTION_SPACES[actions](self.simulator)
+        """What numbers of actions mean."""
         self._physics_mask = physics_mask
         self._started = False
         self._graph: Graph | None = None
@@ -119,8 +125,8 @@ class _Worlds:
 
     def _place(self, flat: ArrayLike) -> tuple[WorldTransition, list[dict[str, Any]]]:
         """Step every world that has not ended; what happened, and what infos say of it."""
-        self._look()
-        actions, clipped, refused = self._actions.resolve(self.state, self._checked(flat))
+        self.look()
+        actions, clipped, refused = self.numbering.resolve(self.state, self._checked(flat))
         refused &= ~self.state.terminated
         self.state.terminated[refused] = True
         done = self.simulator.step(self.state, actions)
@@ -140,7 +146,7 @@ class _Worlds:
         ]
 
     def _checked(self, flat: ArrayLike) -> np.ndarray:
-        count, size = self.state.batch_size, self._actions.size
+        count, size = self.state.batch_size, self.numbering.size
         expected = f"{count} integer{'s' if count > 1 else ''} in 0..{size - 1}"
         try:
             array = np.asarray(flat)
@@ -151,24 +157,24 @@ class _Worlds:
             raise InputError("action", array.tolist(), expected)
         return array.astype(np.int64)
 
-    def _look(self) -> Graph:
+    def look(self) -> Graph:
         """The graph of the state; what actions mean goes with it."""
         if self._graph is None:
             self._graph = self.simulator.observe(self.state)
-            self._actions.look(self._graph)
+            self.numbering.look(self._graph)
         return self._graph
 
     def _observe(self) -> dict[str, np.ndarray]:
-        seen = self._look()._asdict()
-        if isinstance(self._actions, PlacementActions):
-            seen["placements"] = self._actions.describe()
+        seen = self.look()._asdict()
+        if isinstance(self.numbering, PlacementActions):
+            seen["placements"] = self.numbering.describe()
         return seen
 
     def _legal(self) -> np.ndarray:
         """bool[B, A]: i unplaced, j placed, no padding, world not ended."""
         self._require_reset()
-        self._look()
-        return self._actions.mask(self.state)
+        self.look()
+        return self.numbering.mask(self.state)
 
     def _known(self) -> dict[str, np.ndarray]:
         """What infos say of the state, see :class:`AssemblyEnv`; arrays over the worlds."""
@@ -176,7 +182,7 @@ class _Worlds:
         info = {"action_masks": self._legal().view(np.int8)}
         if self._physics_mask:
             stable = self.simulator.physics_mask(state)
-            info["physics_mask"] = self._actions.mask(state, stable).view(np.int8)
+            info["physics_mask"] = self.numbering.mask(state, stable).view(np.int8)
         info["coverage"] = state.complete_coverage
         info["plane_coverage"] = state.plane_coverage
         return info
@@ -219,7 +225,10 @@ class AssemblyEnv(_Worlds, gymnasium.Env[dict[str, Any], np.int64]):
             exist.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": 2}
+    metadata: dict[str, Any] = {  # noqa: RUF012 - declared so by the base class
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 2,
+    }
 
     def __init__(
         self,
@@ -230,8 +239,9 @@ class AssemblyEnv(_Worlds, gymnasium.Env[dict[str, Any], np.int64]):
         actions: str = "flat",
     ) -> None:
         super().__init__(task, physics, 1, physics_mask, render_mode, actions)
-        self.observation_space: spaces.Dict = observation_space(self.task, actions)
-        self.action_space: spaces.Discrete[np.int64] = spaces.Discrete(self._actions.size)
+        # Narrower than the base class says; nobody sets them.
+        self.observation_space: spaces.Dict = observation_space(self.task, actions)  # pyright: ignore[reportIncompatibleVariableOverride]
+        self.action_space: spaces.Discrete[np.int64] = spaces.Discrete(self.numbering.size)  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -321,8 +331,8 @@ class AssemblyVectorEnv(_Worlds, VectorEnv[dict[str, np.ndarray], np.ndarray, np
             raise UnknownNameError("autoreset_mode", autoreset_mode, names)
         self.autoreset_mode: AutoresetMode = AutoresetMode(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
-        self.single_observation_space: spaces.Dict = observation_space(self.task, actions)
-        self.single_action_space: spaces.Discrete[np.int64] = spaces.Discrete(self._actions.size)
+        self.single_observation_space: spaces.Dict = observation_space(self.task, actions)  # pyright: ignore[reportIncompatibleVariableOverride]
+        self.single_action_space: spaces.Discrete[np.int64] = spaces.Discrete(self.numbering.size)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.observation_space: spaces.Space[Any] = batch_space(
             self.single_observation_space, num_envs
         )

@@ -110,8 +110,10 @@ def demonstrate(
         InputError: for an agent of a task of designs, and for a data set that is there already.
     """
     with extra("minari", "demonstrations"):
-        import minari
-        from minari.storage import get_dataset_path
+        import minari  # pyright: ignore[reportMissingTypeStubs]
+        from minari.storage import (  # pyright: ignore[reportMissingTypeStubs]
+            get_dataset_path,
+        )
     started = time.perf_counter()
     look_up("task", task, {**PRESETS, **DESIGN_TASKS})
     if task in DESIGN_TASKS and agent is not None:
@@ -332,7 +334,7 @@ def _write(
 
 def _buffers(buffer: Callable[..., Any], found: Steps, first: int) -> list[Any]:
     """The episodes of a piece as Minari takes them."""
-    lengths, end, out = found["lengths"].tolist(), 0, []
+    lengths, end, out = found["lengths"].tolist(), 0, list[Any]()
     for number, count in enumerate(lengths):
         end += count
         taken, seen = slice(end - count, end), slice(end - count + number, end + number + 1)

@@ -4,7 +4,7 @@ is filled or fixed goals are met."""
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -38,20 +38,21 @@ class _CandidateEnv(gymnasium.Env[dict[str, Any], np.int64]):
     been.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "render_fps": 2}
+    metadata: dict[str, Any] = {"render_modes": [], "render_fps": 2}  # noqa: RUF012 - as its base
 
     def __init__(self, most: int, features: Any, render_mode: str | None) -> None:
         if render_mode is not None:
             raise InputError("render_mode", render_mode, "none")
-        self.render_mode: None = None
-        self.observation_space: spaces.Dict[NDArray[np.float32] | NDArray[np.int8]] = spaces.Dict(
+        self.render_mode: str | None = None
+        # Narrower than the base class says; nobody sets them.
+        self.observation_space: spaces.Dict[NDArray[np.float32] | NDArray[np.int8]] = spaces.Dict(  # pyright: ignore[reportIncompatibleVariableOverride]
             {
                 "candidates": spaces.Box(-_MOST, _MOST, (most, features.NUM_FEATURES), np.float32),
                 "summary": spaces.Box(-_MOST, _MOST, (features.NUM_SUMMARY,), np.float32),
                 "mask": spaces.MultiBinary(most),
             }
         )
-        self.action_space: spaces.Discrete[np.int64] = spaces.Discrete(most)
+        self.action_space: spaces.Discrete[np.int64] = spaces.Discrete(most)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.world: LatticeWorld | None = None
         """What has been built; copy it before you change it."""
         self._most = most
@@ -250,7 +251,7 @@ class GoalsEnv(_CandidateEnv):
         if grown is None:
             return False, reward
         before = self._relaxed.blocks
-        self.world: LatticeWorld = grown
+        self.world: LatticeWorld | None = grown
         self._relaxed = relax(self.problem, grown, self._relaxed.price)
         if np.isfinite(self._relaxed.blocks):
             reward = (before - self._relaxed.blocks) / self._start

@@ -4,7 +4,7 @@ is off, look where they are, and take up what is not where it should be."""
 from __future__ import annotations
 
 import copy
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -96,25 +96,26 @@ class HiddenEnv(gymnasium.Env[dict[str, Any], np.int64]):
         task: of :data:`learn2assemble.tasks.task.HIDDEN_TASKS`, by name or as such.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "render_fps": 2}
+    metadata: dict[str, Any] = {"render_modes": [], "render_fps": 2}  # noqa: RUF012 - as its base
 
     def __init__(self, task: HiddenTask | str, render_mode: str | None = None) -> None:
         if render_mode is not None:
             raise InputError("render_mode", render_mode, "none")
         if isinstance(task, str) and task not in HIDDEN_TASKS:
             raise UnknownNameError("task", task, HIDDEN_TASKS)
-        self.render_mode: None = None
+        self.render_mode: str | None = None
         self.task: HiddenTask = HIDDEN_TASKS[task] if isinstance(task, str) else task
         most = self.task.blocks[1]
         self.actions: HiddenActions = HiddenActions(most)
-        self.observation_space: spaces.Dict = spaces.Dict(
+        # Narrower than the base class says; nobody sets them.
+        self.observation_space: spaces.Dict = spaces.Dict(  # pyright: ignore[reportIncompatibleVariableOverride]
             {
                 "blocks": spaces.Box(-_REACH, _REACH, (most, COLUMNS), np.float32),
                 "hand": spaces.Box(-_REACH, _REACH, (3,), np.float32),
                 "clock": spaces.Box(0.0, _REACH, (5,), np.float32),
             }
         )
-        self.action_space: spaces.Discrete[np.int64] = spaces.Discrete(self.actions.count)
+        self.action_space: spaces.Discrete[np.int64] = spaces.Discrete(self.actions.count)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.design: GivenBlocks | None = None
         """The design of the episode."""
         self._world: HiddenWorld | None = None
@@ -130,7 +131,7 @@ class HiddenEnv(gymnasium.Env[dict[str, Any], np.int64]):
         super().reset(seed=seed)
         self.design = make_given_blocks(self.task, self.np_random)
         self._begin(self.design, np.random.default_rng(self.np_random.integers(2**63)))
-        return self._observe(), self._info(Happened(""))
+        return self.observe(), self._info(Happened(""))
 
     def imagined(self, seed: int = 0) -> HiddenEnv:
         """The start of this episode with other hidden numbers: what one may know who knows the
@@ -184,7 +185,7 @@ class HiddenEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self._ended = happened.verdict == "done" or self._left < MOVE
         before, self._share = self._share, float(self._world.in_place().mean())
         reward = self._share - before
-        return self._observe(), reward, self._ended, False, self._info(happened)
+        return self.observe(), reward, self._ended, False, self._info(happened)
 
     def _do(self, world: HiddenWorld, number: int) -> Happened:
         names, factor = self.actions, self.task.factor
@@ -239,7 +240,8 @@ class HiddenEnv(gymnasium.Env[dict[str, Any], np.int64]):
             mask[names.adjust + 2 * axis + more] = abs(value) <= MOST[axis]
         return mask
 
-    def _observe(self) -> dict[str, Any]:
+    def observe(self) -> dict[str, Any]:
+        """What is known of every block, of the hand and of what is left of the budget."""
         assert self._world is not None
         design, count = self._world.design, len(self._world.design)
         blocks = np.zeros((self.task.blocks[1], COLUMNS), np.float32)

@@ -261,7 +261,7 @@ def fitting(now: BelievedBlocks, block: int, bias: np.ndarray) -> np.ndarray:
     it, seen or not, and not to leave its place."""
     design = now.design
     place = np.append(design.middle[block, :2], 0.0)
-    beside = []
+    beside = list[tuple[np.ndarray, np.ndarray]]()
     for other in np.flatnonzero(design.beside[block]).tolist():
         off = np.zeros(3)
         if now.seen[other]:

@@ -59,13 +59,13 @@ class PlacementPictures:
     """
 
     def __init__(self, env: AssemblyEnv) -> None:
-        if not isinstance(env._actions, PlacementActions):
+        if not isinstance(env.numbering, PlacementActions):
             raise InputError("actions", "flat", "actions='placements' where pictures are seen")
         self.env = env
-        self.actions: PlacementActions = env._actions
+        self.actions: PlacementActions = env.numbering
         sides = env.task.num_sides
         self.space: spaces.Dict = _space(
-            (IMAGE_SIZE, IMAGE_SIZE * (sides + 1)), env._actions.size, sides
+            (IMAGE_SIZE, IMAGE_SIZE * (sides + 1)), env.numbering.size, sides
         )
 
     def observe(self) -> dict[str, np.ndarray]:
@@ -93,7 +93,7 @@ class PlacementPictures:
         return {"picture": picture, "boxes": self._boxes()}
 
     def _boxes(self) -> np.ndarray:
-        self.env._look()
+        self.env.look()
         middle = self.actions.describe()[0].astype(float)
         boxes = np.zeros((len(middle), self.env.task.num_sides, 4), np.float32)
         used = self.env.action_masks()
@@ -163,10 +163,12 @@ class HiddenPictures:
 
     def observe(self) -> dict[str, np.ndarray]:
         """See :class:`Pictures`."""
-        rows = self.env._observe()["blocks"].astype(float)
+        rows: np.ndarray = self.env.observe()["blocks"].astype(float)
         rows = rows[rows[:, hidden.THERE] > 0]
         stands, seen = rows[:, hidden.STANDS] > 0, rows[:, hidden.SEEN] > 0
-        off = np.where(seen[:, None], rows[:, hidden.MEASURED], rows[:, hidden.COMMANDED])[:, :2]
+        off: np.ndarray = np.where(
+            seen[:, None], rows[:, hidden.MEASURED], rows[:, hidden.COMMANDED]
+        )[:, :2]
         more = np.append(off, np.zeros((len(off), 1)), 1) / 1e3
         place = _views(rows[:, hidden.MIDDLE], rows[:, hidden.SIZE])
         real = rows[:, hidden.SIZE].copy()

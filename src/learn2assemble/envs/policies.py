@@ -293,4 +293,4 @@ class RemoteChoice:
 
 
 def _plain(value: Any) -> Any:
-    return value.item() if isinstance(value, np.generic) else value.tolist()
+    return value.tolist()  # numbers of NumPy have it, too

@@ -11,13 +11,13 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
-from scipy import stats
+from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from learn2assemble.envs.suite import SUITE, SUITE_VERSION, Choose, Played, SuiteTask
 from learn2assemble.errors import InputError, check_arguments, check_fields, is_whole
@@ -58,7 +58,8 @@ class Submission:
     played: tuple[PlayedProblem, ...]
 
     def __post_init__(self) -> None:
-        plain = isinstance(self.entry, str) and re.fullmatch(r"[\w .,()+-]{1,60}", self.entry)
+        entry: Any = self.entry  # As it is read from a file.
+        plain = isinstance(entry, str) and re.fullmatch(r"[\w .,()+-]{1,60}", entry)
         check_fields(
             self,
             ("entry", bool(plain), "a name of 1 to 60 letters, digits and spaces"),
@@ -138,7 +139,9 @@ def enter(
         {"problems": problems},
         ("problems", problems is None or is_whole(problems, 1), "a whole number of at least 1"),
     )
-    runs = list(policy) if isinstance(policy, Sequence) else [policy]
+    runs: list[Choose] = (
+        list(cast("Sequence[Choose]", policy)) if isinstance(policy, Sequence) else [policy]
+    )
     known = {_knows(one) for one in runs}
     if len(known) != 1:
         raise InputError("policies", len(runs), "one or more that know the same")
@@ -200,6 +203,16 @@ def read_submission(path: str | Path) -> Submission:
     return found
 
 
+class _Again:
+    """Plays actions that are known."""
+
+    def __init__(self, actions: Sequence[int]) -> None:
+        self._left = iter(actions)
+
+    def __call__(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> int:
+        return next(self._left)
+
+
 def check(path: str | Path, *, progress: Callable[[str], None] = lambda line: None) -> Submission:
     """Read a file and play its actions again.
 
@@ -212,8 +225,7 @@ def check(path: str | Path, *, progress: Callable[[str], None] = lambda line: No
         task = SuiteTask(name)
         env = task.make()
         for one in (one for one in found.played if one.task == name):
-            actions = iter(one.actions)
-            done = task.play(env, one.problem, lambda *_, rest=actions: next(rest))
+            done = task.play(env, one.problem, _Again(one.actions))
             true = _record(task, one.run, one.problem, done)
             same = (true.actions, true.success) == (one.actions, one.success)
             if not same or not math.isclose(true.score, one.score, abs_tol=TOLERANCE):
@@ -296,7 +308,8 @@ def _cell(scores: np.ndarray) -> str:
         return "–"
     runs, problems = scores.shape
     values = scores.mean(1) if runs > 1 else scores[0]
-    times = float(stats.t.ppf(0.975, runs - 1)) if runs > 1 else 1.96
+    law: Any = stats.t  # Its types are known in part.
+    times = float(law.ppf(0.975, runs - 1)) if runs > 1 else 1.96
     many = len(values) > 1
     spread = times * values.std(ddof=1) / math.sqrt(len(values)) if many else 0.0
     around = f" ± {spread:.3f}" if many else ""
