@@ -10,8 +10,8 @@ import numpy as np
 from learn2assemble.linear_programs import Clock, Model, solve
 from learn2assemble.planning.changeover import Changeover
 
-_MOMENTS = (3, 12)
-"""Of an order, looked at before all of them are."""
+_MOMENTS = 12
+"""Of an order, looked at together before all of them are."""
 
 
 def fewest_moves(change: Changeover, clock: Clock) -> int:
@@ -46,14 +46,21 @@ def fewest_moves(change: Changeover, clock: Clock) -> int:
     going = sorted(change.going)
     coming = sorted(change.coming(going))
     best = len(going) + len(coming) - _most(change.kind, going, coming)
-    every = len(coming) - 1
-    for count in sorted({min(some, every) for some in (*_MOMENTS, every)} - {0, -1}):
+    last = len(coming) - 1
+    # One moment takes little and some tell much; where many take too long, what is proven tells.
+    some = [[number] for number in range(1, last + 1)]
+    some += [_evenly(last, count) for count in (_MOMENTS, last) if 1 < count <= last]
+    for numbers in some:
         if clock.left <= 0:
             break
-        numbers = np.unique(np.rint(np.linspace(0, every + 1, count + 2)[1:-1]).astype(int))
-        direct = _most_direct(change, going, coming, numbers.tolist(), clock)
+        direct = _most_direct(change, going, coming, numbers, clock)
         best = max(best, len(going) + len(coming) - direct)
     return best
+
+
+def _evenly(last: int, count: int) -> list[int]:
+    """So many whole numbers from 1 to ``last``, evenly."""
+    return np.unique(np.rint(np.linspace(0, last + 1, count + 2)[1:-1]).astype(int)).tolist()
 
 
 def _most(kind: np.ndarray, some: Iterable[int], others: Iterable[int]) -> int:
