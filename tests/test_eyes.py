@@ -16,8 +16,8 @@ from learn2assemble.cell.carry_out import Workcell, carry_out, prepare, setup_of
 from learn2assemble.cell.site import read_site
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, yaw_matrix
+from learn2assemble.motion.attempts import block_errors
 from learn2assemble.motion.checked import Checked
-from learn2assemble.motion.errors import block_errors
 from learn2assemble.motion.files import read_record, write_record
 from learn2assemble.motion.plant import (
     Motion,

@@ -38,8 +38,7 @@ from learn2assemble.simulation.model import Failure, free_cells, take_order
 from learn2assemble.simulation.prepare import prepare
 from learn2assemble.simulation.simulation import SimulatedState, Simulation, Trace
 from learn2assemble.simulation.ways import WorldChecker
-from robot_scenes import hands
-from suction_moves import random_moves
+from robot_scenes import hands, random_moves
 
 PANDA, UR5E = get_arm("panda", "suction"), get_arm("ur5e", "suction")
 assert PANDA.suction is not None

@@ -31,7 +31,7 @@ from learn2assemble.cell.world import MISSING
 from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
-from learn2assemble.motion.merged import merged
+from learn2assemble.motion.attempts import merged
 from learn2assemble.motion.plant import Guard, Motion, PlantError, Report, Stop, standing
 from learn2assemble.motion.record import find_fault
 from learn2assemble.motion.setup import Noise

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from learn2assemble.motion.errors import block_errors
+from learn2assemble.motion.attempts import block_errors
 from learn2assemble.viewer.playback import Playback, split
 
 WIDE, HIGH, LEFT, BELOW = 1000, 150, 46, 16

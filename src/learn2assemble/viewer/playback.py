@@ -21,7 +21,7 @@ from learn2assemble.geometry.rotations import (
     matrix_quaternion,
     quaternion_product,
 )
-from learn2assemble.motion.merged import ArmStep, merged
+from learn2assemble.motion.attempts import ArmStep, merged
 from learn2assemble.motion.record import BuildRecord, Samples, StepRecord
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
