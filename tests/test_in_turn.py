@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import runpy
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -15,18 +17,26 @@ from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.cell import in_turn
 from learn2assemble.cell.crew import LIP_ROOM, ArmCrew, Member
-from learn2assemble.cell.in_turn import boxes_of, build_in_turn
+from learn2assemble.cell.in_turn import (
+    MOST_BACK,
+    about_vertical,
+    boxes_of,
+    build_in_turn,
+    moved_by,
+)
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import plan_by_team, set_up_team
 from learn2assemble.cell.workcell import Workcell
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.geometry.rotations import quaternion_matrix, yaw_matrix
 from learn2assemble.motion.record import find_fault
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.capsules import capsules_of, placed
-from learn2assemble.robot.kinematics import get_chain
+from learn2assemble.robot.grasps import Attitude
+from learn2assemble.robot.kinematics import forward, get_chain
+from learn2assemble.robot.scene import reshape
 from learn2assemble.simulation.execution import Execution
 from learn2assemble.statics.states import State
 
@@ -168,3 +178,57 @@ def test_a_cup_that_is_moved_aside_stays_on_its_face() -> None:
         others = slope > 1e-6
         room = depth[others] / slope[others]
         assert room.min() >= suction.cups[0].radius + LIP_ROOM - 1e-6
+
+
+def test_an_arch_of_nine_voussoirs_needs_no_post() -> None:
+    """Only the newest block is held, by turns, until the last one closes the arch."""
+    arch = runpy.run_path(str(EXAMPLES / "arch.py"))["arch"](9)
+    arms = [SiteArm(arm, arm, "suction-wide") for arm in ("ur5e", "panda")]
+    members = set_up_team(arch, arms, Site())
+    options = {"friction": None, "gap": None, "seconds": 600.0}
+    plan = plan_by_team(arch, members, posts=False, options=options)
+    assert plan.complete, plan.reason
+    held = [(step.block, step.arm) for step in plan.steps if step.action == "hold"]
+    assert len(held) == 4
+    assert all(one[1] != other[1] for one, other in pairwise(held))
+    at_once = most = 0
+    for step in plan.steps:
+        at_once += (step.action == "hold") - (step.action == "release")
+        most = max(most, at_once)
+    assert most == 2  # One holds on until the other one has its block in its place.
+
+
+def test_a_hand_is_moved_no_farther_than_it_may_be() -> None:
+    arm = get_arm("panda", "suction")
+    place, turn = forward(get_chain(arm), arm.home)
+    for off in (np.array([2e-4, 0.0, -3e-4]), np.array([0.0, 4e-3, 0.0])):
+        there, turned = forward(get_chain(arm), moved_by(arm, arm.home, off))
+        wanted = off * min(1.0, MOST_BACK / float(np.linalg.norm(off)))
+        assert np.abs(there - place - wanted).max() < 2e-5
+        assert np.abs(turned - turn).max() < 1e-3
+
+
+def test_a_grasp_turns_with_the_block_that_waits() -> None:
+    grasp = Attitude(0.3, 0.7, spin=0.2, into=(0.6, 0.0, -0.8))
+    turn = yaw_matrix(0.1)
+    found = about_vertical(grasp, turn)
+    assert np.allclose(found.rotation(), turn @ grasp.rotation())
+    assert np.allclose(found.insertion(), turn @ grasp.insertion())
+
+
+def test_an_arm_that_stands_is_round() -> None:
+    """Past the edges of the boxes around it there is room."""
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body(name="still")
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.01] * 3)
+    ball = spec.worldbody.add_body(pos=[0.09, 0.09, 0.0])
+    ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.01, 0.0, 0.0])
+    model = spec.compile()
+    data, half = mujoco.MjData(model), np.array([[0.06, 0.06, 0.2]])
+    found = []
+    for rounded in (True, False):
+        reshape(model, np.array([0]), half, None, np.array([rounded]))
+        mujoco.mj_kinematics(model, data)
+        found.append(mujoco.mj_geomDistance(model, data, 0, 1, 1.0, None))
+    assert abs(found[0] - (0.09 * np.sqrt(2) - 0.07)) < 1e-6
+    assert abs(found[1] - (0.03 * np.sqrt(2) - 0.01)) < 1e-6

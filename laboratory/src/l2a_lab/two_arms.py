@@ -11,13 +11,14 @@ from __future__ import annotations
 import runpy
 import time
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from l2a_lab import two_arms_bricks
 from l2a_lab.arm_distances import MOMENTS, WatchedCell
-from l2a_lab.builds import EXAMPLES, PLAN_SECONDS, SMALL_FIRST, STRUCTURES
+from l2a_lab.builds import EXAMPLES, PLAN_SECONDS, READINGS, SMALL_FIRST, STRUCTURES, SUPPLY
 from l2a_lab.measured import Figures, Result
 from l2a_lab.shapes import SHAPES, wall
 from l2a_lab.stopped_arm import APART, Job, drawn, stopped
@@ -33,6 +34,7 @@ from learn2assemble.cell.together import build_together
 from learn2assemble.cell.workcell import Workcell
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.read import read_design
+from learn2assemble.motion.setup import Disturbance
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells
 
@@ -59,14 +61,17 @@ ASKED = 0.62
 """Of the time of one arm, for the eight."""
 LONGEST = 60.0
 """That planning may take [s]."""
-HELD = "arch of 9"
-"""What is built with one arm holding while the other one brings the next block, ..."""
+HELD = {"arch of 9": (9, 0.3, 0.08), "arch of 21": (21, 0.5, 0.14)}
+"""What is built with one arm holding while the other one brings the next block: voussoirs, radius
+and thickness [m], ..."""
 WIDE = "suction-wide"
 """... with which tool of both: the cup of 30 mm slips under what an arch thrusts, and its blocks
 end so far from their places that the last one does not go in."""
 SWAYED, SWAY = 8, 1e-7
-"""How often it is built, each time with a radius larger by this [m]: where the last blocks come to
-rest between their neighbours hangs on less than that, so one build alone says little."""
+"""How often the first is built, each time with a radius larger by this [m]: where the last blocks
+come to rest between their neighbours hangs on less than that, so one build alone says little."""
+NOISY, NOISY_SHARE = 20, 0.8
+"""How often it is built by what is sensed, and which share of these shall be complete."""
 MOST_OFF = 1e-3
 """So far from its place a block may be then [m]."""
 STOPPED, STOPPED_SECONDS, STOPS = "pyramid.json", 40.0, 10
@@ -82,7 +87,10 @@ def names() -> list[str]:
         for who in (*ARMS, BOTH)
     ]
     built += [f"bricks/{what}/{who}" for what in BRICKS for who in (ARM, BOTH)]
-    built += [f"holds/{HELD}/{number}" for number in range(SWAYED)]
+    first, *others = HELD
+    built += [f"holds/{first}/{number}" for number in range(SWAYED)]
+    built += [f"holds/{what}/0" for what in others]
+    built += [f"noise/{first}/{number}" for number in range(NOISY)]
     return [*built, *(f"stopped/{STOPPED}/{number}" for number in range(STOPS))]
 
 
@@ -91,7 +99,9 @@ def entry(name: str) -> Result:
     kind, what, who = name.split("/")
     started = time.process_time()
     if kind == "holds":
-        return _holding(int(who), started)
+        return _holding(what, SWAY * int(who), Workcell(ARMS[0], hands=True), started)
+    if kind == "noise":
+        return _holding(what, 0.0, _inexact(what, int(who)), started)
     if kind == "bricks":
         return two_arms_bricks.entry(what, who)
     design, kit = _design(what)
@@ -109,26 +119,50 @@ def entry(name: str) -> Result:
     return {**said, **told, "building_s": round(time.process_time() - started, 2)}
 
 
-def _holding(number: int, started: float) -> Result:
-    """An arch without falsework as far as two hands go, and how far its blocks are off then."""
-    made = runpy.run_path(str(STRUCTURES / "arch.py"))["arch"]
-    arch = made(9, radius=0.3 + SWAY * number)
-    members = set_up_team(arch, [SiteArm(arm, arm, WIDE) for arm in ARMS], Site())
-    # The clock is not to decide: seconds of planning are told, not limited.
-    options = {"friction": None, "gap": None, "seconds": 10 * LONGEST}
-    plan = plan_by_team(arch, members, options=options)
-    done, told = _watched(plan, members, 0.0, started)
+def _holding(what: str, radius: float, workcell: Workcell, started: float) -> Result:
+    """An arch without falsework as far as two hands go, and how far its blocks are off then.
+
+    Args:
+        what: of :data:`HELD`.
+        radius: larger by this [m].
+        workcell: how it is built.
+        started: as of :func:`_together`.
+    """
+    plan, members = _planned(what, radius)
+    done, told = _watched(plan, members, 0.0, started, workcell)
     worst = [one.did.error_worst for one in done.arms if one.did is not None]
+    tried = [one.did.attempts for one in done.arms if one.did is not None]
     return {
         "status": done.status,
         "reason": done.reason,
         "blocks": done.blocks.used,
         "holds": sum(step.action == "hold" for step in done.steps),
         "posts": sum(step.action == "place" and step.prop for step in done.steps),
+        "attempts": sum(tried),
         **told,
         "error_worst": max((one for one in worst if one is not None), default=None),
         "building_s": round(time.process_time() - started, 2),
     }
+
+
+@lru_cache(maxsize=1)
+def _planned(what: str, radius: float) -> tuple[Plan, list[Member]]:
+    """An arch that is planned with both arms, and these."""
+    count, own, thickness = HELD[what]
+    made = runpy.run_path(str(STRUCTURES / "arch.py"))["arch"]
+    arch = made(count, radius=own + radius, thickness=thickness)
+    members = set_up_team(arch, [SiteArm(arm, arm, WIDE) for arm in ARMS], Site())
+    # The clock is not to decide: seconds of planning are told, not limited.
+    options = {"friction": None, "gap": None, "seconds": 10 * LONGEST}
+    return plan_by_team(arch, members, options=options), members
+
+
+def _inexact(what: str, number: int) -> Workcell:
+    """A cell in which nothing is exact, as those in which one arm builds (:mod:`.builds`)."""
+    rng = np.random.default_rng([number, *what.encode()])
+    told = Disturbance(supply=SUPPLY, friction=float(rng.uniform(-0.2, 0.2)), mass=0.1)
+    seed = int(rng.integers(2**31))
+    return Workcell(ARMS[0], hands=True, seed=seed, noise=READINGS, disturbance=told)
 
 
 def _together(plan: Plan, kit: Kit, started: float) -> tuple[Plan, Result]:
@@ -143,13 +177,18 @@ def _together(plan: Plan, kit: Kit, started: float) -> tuple[Plan, Result]:
 
 
 def _watched(
-    plan: Plan, members: list[Member], joint: float, started: float
+    plan: Plan,
+    members: list[Member],
+    joint: float,
+    started: float,
+    workcell: Workcell | None = None,
 ) -> tuple[Plan, Result]:
     """The same of a plan that was found with the arms.
 
     Args:
         joint: width of a vertical joint [m].
         started: as of :func:`_together`.
+        workcell: how they build; by default as planned.
     """
     held = any(step.action == "hold" for step in plan.steps)
     cells: list[WatchedCell] = []
@@ -165,8 +204,8 @@ def _watched(
     if not plan.complete:
         return plan, {"planning_s": round(time.process_time() - started, 2)}
     carry = build_in_turn if held else build_together
-    workcell = Workcell(ARMS[0], hands=held)
-    done = carry(plan, members, workcell, joint=joint, opened=opened)
+    at = workcell or Workcell(ARMS[0], hands=held)
+    done = carry(plan, members, at, joint=joint, opened=opened)
     least = cells[0].least()
     return done, {
         "robot_s": done.robot_s,
@@ -249,13 +288,19 @@ def stops_told(entries: dict[str, Result]) -> str:
     return f"{words} complete after that; the arms were {1e3 * least:.0f} mm apart at least."
 
 
-def holds_told(entries: dict[str, Result]) -> str:
-    """What came of the builds in which one arm holds, in two sentences."""
-    built = [entries[name] for name in entries if name.startswith("holds/")]
+def holds_told(entries: dict[str, Result], what: str = "arch of 9", kind: str = "holds") -> str:
+    """What came of the builds in which one arm holds, in some sentences.
+
+    Args:
+        what: of :data:`HELD`.
+        kind: ``holds``, or ``noise`` of those by what is sensed.
+    """
+    built = [entries[name] for name in entries if name.startswith(f"{kind}/{what}/")]
     done = [one for one in built if one["status"] == "complete"]
-    words = f"Of {len(built)} builds of the {HELD}, {len(done)} were complete"
+    words = f"Of {_count(len(built), 'build')} of the {what}, {len(done)} were complete"
     if not done:
-        return f"{words}."
+        reasons = {one["reason"] for one in built}
+        return f"{words} ({'; '.join(sorted(map(str, reasons)))})."
     most = {what: max(one[what] for one in done) for what in ("holds", "posts", "robot_s")}
     words += f", with {_count(most['holds'], 'hold')} and {_count(most['posts'], 'post')} set by "
     words += f"hand at most, in {most['robot_s']:.1f} s at most. "
@@ -291,9 +336,13 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
         words = f"{both['blocks']} blocks: {both['robot_s']:.1f} s over {first:.1f} s, {share:.2f}"
         apart = f"{1e3 * both['least_distance']:.1f} mm apart at least"
         rows.append((design, asked, f"{words}, {apart}, planned in {both['planning_s']:.1f} s"))
-    if any(name.startswith("holds/") for name in entries):
+    for what in HELD:
         asked = f"complete, no post, <= {1e3 * MOST_OFF:g} mm, >= {1e3 * APART:g} mm apart"
-        rows.append((f"{HELD}, one holds while the other one builds", asked, holds_told(entries)))
+        for kind, more in {"holds": asked, "noise": f">= {NOISY_SHARE:.0%} complete"}.items():
+            if any(name.startswith(f"{kind}/{what}/") for name in entries):
+                told = f"{what}, one holds while the other one builds"
+                told += ", by what is sensed" if kind == "noise" else ""
+                rows.append((told, more, holds_told(entries, what, kind)))
     rows += two_arms_bricks.summary(entries)
     for kind, found in shares.items():
         mean = f"{np.mean(found):.2f} mean of {len(found)}"

@@ -96,6 +96,8 @@ class Building:
     recorded: bool
     witness: Callable[[], None]
     stopped: Stop
+    tries: int = TRIES
+    """Ways that are tried by turns, of a block."""
 
     def __init__(
         self,
@@ -189,7 +191,7 @@ class Building:
             if presented and action.what == "place":
                 # How well a place can be known at all is known once something was seen.
                 action = action._replace(goal=self.known.fitted(k))
-            skip = self.known.fails[key] % TRIES
+            skip = self.known.fails[key] % self.tries
             move, why, rows = self._way(action, skip)
         placing = action.what in PLACING
         height, home = UNCERTAIN, None

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
-from typing import NamedTuple
+from functools import cached_property
+from itertools import count, islice, product
+from typing import Any
 
 import numpy as np
 
@@ -33,9 +34,10 @@ from learn2assemble.cell.world import (
 )
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.planning.crew import Bringing
+from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.bodies import Part
-from learn2assemble.robot.capsules import capsules_of, in_hand, solid_capsules
-from learn2assemble.robot.grasps import FIRST
+from learn2assemble.robot.capsules import Capsules, capsules_of, in_hand, solid_capsules
+from learn2assemble.robot.grasps import FIRST, WAY
 from learn2assemble.robot.hand import hand_limits
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Attempt, Move, carried, turned
@@ -45,19 +47,25 @@ from learn2assemble.statics.states import State
 APART = KEPT + 0.002
 """What arms keep from one another where one holds [m]: more than what they keep while they build,
 as blocks are not placed where they were planned to the last bit."""
-MOST_GRIPS = 8
+MOST_GRIPS = 16
 """Grasps of an arm that are offered for a block, for each of :data:`OUT`."""
 OUT = (0.0, 0.12, 0.2)
 """Where blocks lean, an arm that holds may lean over the place of the next one: so far a hand keeps
 to the way by which its block comes, and to its own axis when it leaves, before it goes straight up
 [m]; 0: as everywhere."""
+FINE = 0.015
+"""Half of what of a block is in one capsule [m]: next to a block that another hand holds, one that
+comes is as near to that hand as it ever is, and rounder than it is it would not come by."""
+ALIKE = 1e-3
+"""An arm whose joints differ by less holds a block in the same way [rad]."""
 LIP_ROOM = 0.002
 """Between the lip of a cup that is moved aside and the edges of a face [m]."""
 LEANING = 0.02
 """A joint leans where the height of its normal is neither 0 nor 1 by more."""
 
 
-class Reached(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Reached:
     """How an arm brings a block, and where it is then."""
 
     member: int
@@ -65,13 +73,28 @@ class Reached(NamedTuple):
     part: int
     """Number of the part of the block that is held."""
     move: Move
-    joints: np.ndarray
-    """float64[n], with the block in its place [rad]."""
-    ways: tuple[Sweep, ...]
-    """Of the arm with the block, over its place and over where it waits."""
-    stands: Sweep
-    """The arm alone, where it is then."""
     hand: Hand
+    arm: Arm
+    over: tuple[np.ndarray, np.ndarray]
+    """Its joints float64[k, n] over the place of the block, upwards, and over where it waits
+    [rad]."""
+    held: Capsules
+    """The arm with the block."""
+
+    @property
+    def joints(self) -> np.ndarray:
+        """float64[n], with the block in its place [rad]."""
+        return self.over[0][0]
+
+    @cached_property
+    def ways(self) -> tuple[Sweep, ...]:
+        """Of the arm with the block, over its place and over where it waits."""
+        return tuple(sweep(self.arm, self.held, way) for way in self.over)
+
+    @cached_property
+    def stands(self) -> Sweep:
+        """The arm alone, where it is then."""
+        return sweep(self.arm, capsules_of(self.arm), self.over[0][:1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +131,8 @@ class ArmCrew:
         self._leans = bool(((steep > LEANING) & (steep < 1 - LEANING)).any())
         self._holding: dict[bytes, Reached] = {}
         """By the hand, how the arm holds."""
-        self._known: dict[tuple[int, int, bytes], list[Reached]] = {}
+        self._known: dict[tuple[int, int, bytes], tuple[list[Reached], Iterator[Reached]]] = {}
+        """By arm, block and what is there: ways that were found, and those that may be yet."""
         self._outs = OUT if self._leans else OUT[:1]
         self.why: dict[int, str] = {}
         """Of blocks, why an arm could not bring them, the last time."""
@@ -121,8 +145,11 @@ class ArmCrew:
             member = self.members[number]
             if member.name in busy:
                 continue
+            known: set[bytes] = set()
             for found in self._reached(number, block, state):
-                if self._clear(found, block, state):
+                # However it comes there, a hand is the same one.
+                if found.hand.key not in known and self._clear(found, block, state):
+                    known.add(found.hand.key)
                     self._holding[found.hand.key] = found
                     yield Bringing(member.name, found.hand)
 
@@ -158,30 +185,39 @@ class ArmCrew:
 
     # ------------------------------------------------------------ ways
 
-    def _reached(self, number: int, block: int, state: State) -> list[Reached]:
+    def _reached(self, number: int, block: int, state: State) -> Iterator[Reached]:
         """Ways in which an arm brings a block among what is there, if it were alone."""
         key = number, block, state.present.tobytes()
         if key not in self._known:
-            self._known[key] = list(self._find(number, block, state))
-        return self._known[key]
+            self._known[key] = [], self._find(number, block, state)
+        some, more = self._known[key]
+        for k in count():
+            if k == len(some):
+                some += islice(more, 1)
+            if k == len(some):
+                return
+            yield some[k]
 
     def _find(self, number: int, block: int, state: State) -> Iterator[Reached]:
         world, cell, member = self.worlds[number], self.cells[number], self.members[number]
-        self._stand(number, state)
         into: tuple[Direction, ...] = (DOWN,)
         if self._leans:
             standing = set(np.flatnonzero(state.present).tolist())
             into = ways_in(self._contacts, block, standing)
-        count, seen = 0, set[object]()
-        for at, goal in ends_of(world, StepOf(block)):
+        open_ = self._towards_missing(block, state)
+        seen: set[tuple[Any, ...]] = set()
+        hands: dict[tuple[Any, ...], Reached] = {}
+        for at, goal in list(ends_of(world, StepOf(block))):
             assert at is not None
+            self._stand(number, state)  # Others may have been looked at since the last one.
             world.pose[block] = at
             rows = rows_of(world, world.pose, block)
-            ways = moves(world, rows, block, goal, into)
-            held = (one for way in ways for one in self._held(number, block, way))
+            ways = list(moves(world, rows, block, goal, into))
+            held = (one for way in ways for one in self._held(number, block, way, open_))
             for move, turn, out in product(held, (0.0, *cell.arm.turns), self._outs):
                 move = move._replace(place=move.place._replace(way=out or move.place.way))
-                point = _lip(move), turn, out
+                hand = _lip(move), turn
+                point = *hand, out, move.place.insertion().round(3).tobytes()
                 if point in seen:
                     continue
                 one = turned(rows.scene, move, turn)
@@ -190,35 +226,64 @@ class ArmCrew:
                     self.why[block] = f"{member.name}: {found.outcome.label} ({found.stage})"
                     continue
                 seen.add(point)
-                yield self._as_reached(number, rows, one, found)
-                count += 1
-                if count == MOST_GRIPS * len(self._outs):
+                made = self._as_reached(number, rows, one, found)
+                same = hands.setdefault(hand, made)
+                if np.abs(same.joints - made.joints).max() < ALIKE:
+                    made = replace(made, hand=same.hand)
+                yield made
+                if len(seen) == MOST_GRIPS * len(self._outs):
                     return
-        if not count:
+        if not seen:
             self.why.setdefault(block, f"{member.name}: no supply")
 
-    def _held(self, number: int, block: int, move: Move) -> Iterator[Move]:
-        """A move, and with a cup the same held nearer to the base of the arm, where there is more
-        room for a second arm beside."""
-        aside = self._aside(number, block, move)
-        yield from (move,) if aside is None else (aside, move)
+    def _held(self, number: int, block: int, move: Move, open_: np.ndarray) -> Iterator[Move]:
+        """A move, and with a cup the same held elsewhere on the face: nearer to the base of the
+        arm, where there is more room for a second arm beside, and farther from where blocks are
+        missing, which come past the hand.
 
-    def _aside(self, number: int, block: int, move: Move) -> Move | None:
+        Args:
+            open_: of :meth:`_towards_missing`.
+        """
+        for home in (True, False):
+            for away in (True, False) if open_.any() else (False,):
+                aside = self._aside(number, block, move, home, -open_ if away else None)
+                if aside is not None:
+                    yield aside
+
+    def _towards_missing(self, block: int, state: State) -> np.ndarray:
+        """float64[3]: sum of the normals of a block towards those beside it that are missing."""
+        found, joints = np.zeros(3), self._contacts
+        for a, b, normal in zip(joints.a.tolist(), joints.b.tolist(), joints.normal, strict=True):
+            other = a if b == block else b
+            if block in (a, b) and other >= 0 and not state.present[other]:
+                found += normal if a == block else -normal
+        return found
+
+    def _aside(
+        self, number: int, block: int, move: Move, home: bool, away: np.ndarray | None
+    ) -> Move | None:
+        """A move with the cup elsewhere on the face, None where it is not moved much."""
+        if not home and away is None:
+            return move
         arm, piece = self.members[number].job.arm, self.worlds[number].pieces[block]
         if arm.suction is None or len(piece.shape) > 1 or move.place.lip != FIRST:
             return None
-        place, point = move.place, move.place.tool_point(move.target)
-        approach, tool = place.approach(), place.rotation()
-        way = arm.base_position - point
-        way = way - approach * (approach @ way)
-        if np.linalg.norm(way) < 1e-3:
-            return None
-        way /= np.linalg.norm(way)
-        radius = arm.suction.cups[0].radius
-        far = _room(piece, point, approach, way, radius + LIP_ROOM)
-        if far < 2 * LIP_ROOM:
-            return None
-        u, v, w = (np.array(place.aside) + far * (tool.T @ way)).tolist()
+        place, tool = move.place, move.place.rotation()
+        point, approach = place.tool_point(move.target), place.approach()
+        inside = arm.suction.cups[0].radius + LIP_ROOM
+        moved = point
+        for way in (arm.base_position - point if home else None, away):
+            if way is None:
+                continue
+            way = way - approach * (approach @ way)
+            if np.linalg.norm(way) < 1e-3:
+                return None
+            way = way / np.linalg.norm(way)
+            far = _room(piece, moved, approach, way, inside)
+            if far < 2 * LIP_ROOM:
+                return None
+            moved = moved + far * way
+        u, v, w = (np.array(place.aside) + tool.T @ (moved - point)).tolist()
         grasp, there = (one._replace(aside=(u, v, w)) for one in (move.grasp, place))
         return move._replace(grasp=grasp, place=there)
 
@@ -233,14 +298,12 @@ class ArmCrew:
         for centre, turn, cell in zip(place, quaternion, cells.tolist(), strict=True):
             box = Part((0.0, 0.0, 0.0), tuple(rows.scene.halves[cell].tolist()))
             axes = tool.T @ quaternion_matrix(turn)
-            block = solid_capsules([box], tool.T @ (centre - point), axes)
+            block = solid_capsules([box], tool.T @ (centre - point), axes, FINE)
             held = held.add(in_hand(member.job.arm, block))
         at, limits, most = hand_limits(member.job.arm, move, found.place[0])
         hand = Hand.within(at.tolist(), limits, most, member.name)
-        arm, part = member.job.arm, int(rows.part[move.cell])
-        ways = tuple(sweep(arm, held, way) for way in (found.place, found.pick))
-        stands = sweep(arm, capsules_of(arm), found.place[:1])
-        return Reached(number, part, move, found.place[0], ways, stands, hand)
+        part, over = int(rows.part[move.cell]), (found.place, found.pick)
+        return Reached(number, part, move, hand, member.job.arm, over, held)
 
     def _clear(self, found: Reached, block: int, state: State) -> bool:
         """Whether an arm comes past those that hold, and these could let go then."""
@@ -261,12 +324,16 @@ class ArmCrew:
         self._stand(other.member, state)
         rows = rows_of(world, world.pose, held)
         row = int(np.flatnonzero((rows.owner == held) & (rows.part == other.part))[0])
-        still = other.move._replace(cell=row, grasp=other.move.place)
-        left = cell.let_go(rows.scene, still)
-        if left.place is None:
-            return False
-        arm = self.members[other.member].job.arm
-        return clear(sweep(arm, capsules_of(arm), left.place), found.stands, APART)
+        arm, place = self.members[other.member].job.arm, other.move.place
+        for out in dict.fromkeys((place.way, *self._outs)):
+            leaves = place._replace(way=out or WAY)
+            still = other.move._replace(cell=row, grasp=leaves, place=leaves)
+            left = cell.let_go(rows.scene, still, other.joints)
+            if left.place is not None and clear(
+                sweep(arm, capsules_of(arm), left.place), found.stands, APART
+            ):
+                return True
+        return False
 
     def _stand(self, number: int, state: State) -> None:
         """Everything stands where it should that is there, and the rest waits."""

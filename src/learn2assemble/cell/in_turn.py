@@ -9,6 +9,7 @@ An arm that cannot go on, or is stopped, goes on holding.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from itertools import islice
@@ -26,17 +27,19 @@ from learn2assemble.cell.state import Action
 from learn2assemble.cell.telling import route_of
 from learn2assemble.cell.together import Cell, Together, built_by, simulated
 from learn2assemble.cell.traffic import STANDS
-from learn2assemble.cell.workcell import TRIES, Progress, Workcell
-from learn2assemble.cell.world import STANDING, Rows, rows_of, supply_of
+from learn2assemble.cell.workcell import Progress, Workcell
+from learn2assemble.cell.world import STANDING, Rows, direction_of, rows_of, supply_of
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.rotations import matrix_quaternion
+from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, yaw_matrix
 from learn2assemble.motion.plant import Guard, Motion, PlantError, Stop
 from learn2assemble.motion.setup import Setup
 from learn2assemble.planning.plan import Plan, Step
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.capsules import capsules_of, placed
+from learn2assemble.robot.grasps import Attitude
+from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.kinematic import KinematicCell
-from learn2assemble.robot.kinematics import get_chain
+from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import Move
 from learn2assemble.simulation.execution import Execution
 from learn2assemble.statics.states import State
@@ -45,6 +48,14 @@ MOST = 12
 """Ways of an arm to bring a block that are tried."""
 TURN = 0.04
 """Between two looks whether it is the turn of an arm [s]."""
+MOST_BACK = 1e-3
+"""A hand that holds a block brings it to where it shall be, which it has missed by what carries it
+has given way, by so much at most [m]: else a gap that is closed from both sides is too narrow."""
+NEAR_BY = 0.02
+"""For that no joint turns by more [rad]: the arm stays bent as it is."""
+PRESSES = 0.01
+"""It is told to be no farther from there than this [rad], whatever is in its way: no drive of our
+arms turns with more than 45 N m for that."""
 KEPT = Guard(hold="kept")
 GIVES, AT_ONCE = 0.3, STANDS
 """Of how far the joints of an arm that holds are off, so much is taken back every time, and no more
@@ -146,11 +157,12 @@ def gather_in_turn(
 class InTurnBuilding(Building):
     """What one of the arms does and knows."""
 
+    tries: int = MOST
     ways: Brought = Brought(())
     """Of the block that it is about to bring."""
 
     def _way(self, action: Action, skip: int) -> tuple[Move | None, str, Rows]:
-        """One of the ways that were planned."""
+        """One of the ways that were planned, the hand turned as the block is that waits."""
         k = action.block
         poses = self.world.pose.copy()
         poses[k] = self.world.resting(k)
@@ -161,8 +173,21 @@ class InTurnBuilding(Building):
         self.attempts.near = way.joints
         mine = (rows.owner == k) & (rows.part == way.part)
         off = action.goal[:3] - self.world.drawn(k)[:3]
-        move = way.move._replace(cell=int(np.flatnonzero(mine)[0]), target=way.move.target + off)
+        grasp = way.move.grasp
+        if action.source is not None:
+            waits = quaternion_matrix(self.world.presented(k, action.source)[3:])
+            grasp = about_vertical(grasp, quaternion_matrix(poses[k, 3:]) @ waits.T)
+        cell, target = int(np.flatnonzero(mine)[0]), way.move.target + off
+        move = way.move._replace(cell=cell, target=target, grasp=grasp)
         return move, "", rows
+
+
+def about_vertical(grasp: Attitude, turn: np.ndarray) -> Attitude:
+    """A grasp of a block that has been turned by float64[3, 3] about the vertical, as it was of the
+    block before."""
+    angle = math.atan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
+    into = None if grasp.into is None else direction_of(yaw_matrix(angle) @ np.array(grasp.into))
+    return grasp._replace(yaw=grasp.yaw + angle, into=into)
 
 
 class InTurn(Together[Cell]):
@@ -229,7 +254,7 @@ class InTurn(Together[Cell]):
         known.elsewhere = set()
         what = "hand" if step.by_hand else step.action
         source = None
-        for _ in range(TRIES):
+        for _ in range(MOST):
             if what == "place":
                 places = supply_of(building.world, k)
                 if not places:
@@ -285,7 +310,9 @@ class InTurn(Together[Cell]):
             self.traffic.holds(who, run.joints)
             self._tell(who, {k})
             self.now += 2
-            there = building.plant.sense().joints
+            joints = building.plant.sense().joints
+            off = world.drawn(k)[:3] - world.pose[k, :3]
+            there = moved_by(building.job.arm, joints, off)
             while (self.steps[self.now].action, self.steps[self.now].block) != ("release", k):
                 if self.over is not None:
                     sight.let_go()  # It stands in its place, whoever takes it over.
@@ -298,25 +325,38 @@ class InTurn(Together[Cell]):
         return holds
 
 
+def moved_by(arm: Arm, joints: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """float64[n] [rad]: the arm with its hand moved by float64[3] [m], no farther than
+    :data:`MOST_BACK`; where it is, where it cannot."""
+    size = float(np.linalg.norm(off))
+    place, turn = forward(get_chain(arm), joints)
+    point = place + off * min(1.0, MOST_BACK / max(size, 1e-9))
+    found = solve(arm, point, turn, joints, restarts=0)
+    near = found.ok and np.abs(found.joints - joints).max() < NEAR_BY
+    return found.joints if near else joints
+
+
 def keep(run: Execution, there: np.ndarray) -> None:
     """Hold for a while.
 
-    Drives give way under a load like springs. The arm is told to be as far on the other side of
-    where it was, so that the hand comes back to there.
+    Drives give way under a load like springs, and what a block leans on has given way before it
+    came. The arm is told to be as far on the other side of where it shall be, so that the hand
+    comes there.
 
     Args:
         run: of the arm.
-        there: float64[n], as the joints were sensed when the block came to rest [rad].
+        there: float64[n], the joints with the block where it shall be [rad].
     """
     off = there - run.rig.plant.sense().joints
     told = run.joints + np.clip(GIVES * off, -AT_ONCE, AT_ONCE)
+    told = np.clip(told, there - PRESSES, there + PRESSES)
     joints = np.array([run.joints, told])
     run.do(Motion("place", np.array([0.0, TURN]), joints, np.zeros_like(joints)), (KEPT,))
 
 
 def boxes_of(arm: Arm, joints: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """Boxes around an arm that stands at joints float64[n] [rad], and what others keep from it:
-    poses float64[7] and half extents float64[3] [m]."""
+    """Boxes around the capsules of an arm that stands at joints float64[n] [rad], and what others
+    keep from these: poses float64[7] and half extents float64[3] [m]."""
     capsules = capsules_of(arm)
     found = list[tuple[np.ndarray, np.ndarray]]()
     lines = placed(get_chain(arm), capsules, joints[None].copy())[0]
@@ -333,5 +373,5 @@ def boxes_of(arm: Arm, joints: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray
 
 
 ROOM = 0.012
-"""That boxes around an arm are larger than it on all sides [m]: ways keep from them what is certain
-of planned ways, 3 mm at least."""
+"""That boxes around an arm are larger than it on all sides [m]: ways keep as far from them, or from
+the capsules in them, as from everything, 5 mm."""

@@ -10,6 +10,7 @@ would close their way out has to come. Every state is proven by one of some laws
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations, islice
@@ -28,6 +29,8 @@ _TRIES = 4000
 """Moves looked at before the search gives up, besides one for each block."""
 _TOGETHER = 3
 """Most posts that are placed at once."""
+ANY_GRIPS = 10_000
+"""More than there are."""
 _NEAREST = 8
 """Posts that are looked at for that."""
 
@@ -109,20 +112,26 @@ class Forward:
         ]
         self._known: dict[bytes, tuple[int, int | None]] = {}
         """Of a state, the last law that was asked, and by which it stands."""
+        self.grips: int = ANY_GRIPS
+        """In how many ways blocks are held before other ones are."""
+        self._gripped: Counter[tuple[bytes, tuple[tuple[int, str], ...]]] = Counter()
+        """Of what is there, and who holds what: in how many ways that was tried."""
         self._kept: set[tuple[int, bytes]] = set()
         self._failed: set[tuple[int, tuple[int, ...], int | None, bytes]] = set()
         """Blocks that fell, with which posts, and which of their neighbours were there."""
         self._shut: dict[int, bool] = {}
 
-    def allow(self, posts: Iterable[int], holds: int) -> None:
+    def allow(self, posts: Iterable[int], holds: int, grips: int = ANY_GRIPS) -> None:
         """What may be used from now on; what is known of states is kept.
 
         Args:
             posts: these alone.
             holds: how many blocks may be held while the next one comes.
+            grips: in how many ways each of them by the same hand, with the same blocks there.
         """
-        self.allowed, self.holds = set(posts), holds
+        self.allowed, self.holds, self.grips = set(posts), holds, grips
         self._kept.clear()
+        self._gripped.clear()
 
     def begin_with_posts(self) -> None:
         """Every post stands there from the first, and stays until all blocks are there.
@@ -321,11 +330,20 @@ class Forward:
                     for keep in combinations([b, *held], size):
                         gone = [h for h in (b, *held) if h not in keep]
                         after = taken.change(release=gone)
+                        kind = after.present.tobytes(), self._hands(after)
+                        if keep and self._gripped[kind] >= self.grips:
+                            continue
                         if self.stands(after, gone):
+                            self._gripped[kind] += 1
                             steps = [Doing("place", b, None, arm), hold]
                             steps += [_let_go(h, taken) for h in gone]
                             yield Transition(tuple(steps), after, last.gone)
                             break
+
+    def _hands(self, state: State) -> tuple[tuple[int, str], ...]:
+        """Who holds what."""
+        held = np.flatnonzero(state.held).tolist()
+        return tuple((b, state.hands[b].name if b in state.hands else "") for b in held)
 
     def _posted(self, last: Transition, ready: list[int], again: bool) -> Iterator[Transition]:
         """A block with posts under what would move with it; ``again`` as of :meth:`_with`."""

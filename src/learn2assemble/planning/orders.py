@@ -21,7 +21,7 @@ from learn2assemble.planning.centring import find_centring
 from learn2assemble.planning.clearance import FreeWays
 from learn2assemble.planning.disassembly import TakingApart
 from learn2assemble.planning.fewest_posts import fewest_posts
-from learn2assemble.planning.forward import BuildingSite, Forward
+from learn2assemble.planning.forward import ANY_GRIPS, BuildingSite, Forward
 from learn2assemble.planning.posts import Post, find_posts
 from learn2assemble.planning.sequence import (
     WAIT,
@@ -43,6 +43,10 @@ if TYPE_CHECKING:
 
 _SMALL = 10
 """Blocks up to which the fewest posts are looked for."""
+GRIPS = (2, 8, ANY_GRIPS)
+"""In how many ways a block is held by the same hand with the same blocks there, one after the
+other: what cannot come past one that holds comes past few others, and all ways of all of them are
+too many."""
 _NO_SUPPORTS = Supports()
 Progress = Callable[[str], None]
 
@@ -86,8 +90,10 @@ def find_sequence(
     end, last = plain.rules.end, plain.rules.laws[-1]
     stands = plain.rules.law(end) is not None
     found = plain.run()
-    if stands and supports.holds and not found.complete:
-        plain.rules.allow((), supports.holds)
+    for grips in GRIPS if stands and supports.holds else ():
+        if found.complete or clock.left <= 0:
+            break
+        plain.rules.allow((), supports.holds, grips)
         found = max(found, plain.run(), key=plain.worth)
     before = plain.after(found.steps)
     for centring in (True, False) if stands and supports.posts else ():

@@ -104,10 +104,10 @@ def _around(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, float]:
     return _box(middle, half)
 
 
-def _box(middle: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, float]:
+def _box(middle: np.ndarray, half: np.ndarray, widest: float = WIDEST) -> tuple[np.ndarray, float]:
     """The same of a box, whose half extents are ``half`` float64[3] [m]."""
     *across, long = np.argsort(half, kind="stable").tolist()
-    counts = np.ceil(half[across] / WIDEST - 1e-9).astype(int).clip(1)
+    counts = np.ceil(half[across] / widest - 1e-9).astype(int).clip(1)
     radius = float(np.hypot(*(half[across] / counts)))
     short = min(SHORTER * radius, half[long])
     lines = np.zeros((*counts, 2, 3))
@@ -118,18 +118,21 @@ def _box(middle: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, float]:
     return middle + lines.reshape(-1, 2, 3), float(np.hypot(radius, short))
 
 
-def solid_capsules(parts: Sequence[Part], position: np.ndarray, turn: np.ndarray) -> Capsules:
+def solid_capsules(
+    parts: Sequence[Part], position: np.ndarray, turn: np.ndarray, widest: float = WIDEST
+) -> Capsules:
     """Those that contain a block that stands somewhere.
 
     Args:
         parts: of it.
         position: float64[3] of its frame [m], and
         turn: float64[3, 3], its rotation.
+        widest: half a box that has one capsule [m].
     """
     ends, radii = [], []
     for part in parts:
         low, high = part.points.min(0), part.points.max(0)
-        lines, radius = _box((low + high) / 2, (high - low) / 2)
+        lines, radius = _box((low + high) / 2, (high - low) / 2, widest)
         ends += list(position + lines @ turn.T)
         radii += [radius] * len(lines)
     return Capsules(np.zeros(len(ends), np.int64), np.array(ends), np.array(radii))

@@ -18,7 +18,7 @@ import numpy as np
 from learn2assemble.constants import HALF
 from learn2assemble.geometry.hulls import Hull
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_quaternion
-from learn2assemble.robot.approach import RISE, ApproachCache
+from learn2assemble.robot.approach import JUMP, RISE, ApproachCache, follow_poses, tool_path
 from learn2assemble.robot.arm import Arm, arm_spec
 from learn2assemble.robot.moves import (
     GAP,
@@ -408,11 +408,18 @@ class KinematicCell:
             return _failed(Outcome.PLACE_COLLISION, "retreat", hit)
         return Attempt(Outcome.REACHED, pick=pick, place=place)
 
-    def let_go(self, scene: Scene, move: Move) -> Attempt:
+    def let_go(self, scene: Scene, move: Move, joints: np.ndarray) -> Attempt:
         """The last part of a move: a block that stands at its target in the scene and that the hand
-        has held since it came is let go, and the arm leaves."""
+        has held since it came is let go, and the arm leaves, bent as it is.
+
+        Args:
+            scene: in which the block stands.
+            move: by which it came.
+            joints: float64[n], of the arm that holds it [rad].
+        """
         self.collisions = self._checker(scene)
-        leave = self.approaches.solve(move.target, move.place, crossing_height(scene, move))
+        way = tool_path(move.target, move.place, crossing_height(scene, move))
+        leave = follow_poses(self.arm, way.position, way.rotation, joints, jump=JUMP)
         if isinstance(leave, str):
             return Attempt(Outcome.UNREACHABLE, "release", leave)
         self.collisions.place(scene)

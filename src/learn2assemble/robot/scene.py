@@ -129,6 +129,7 @@ def reshape(
     geoms: np.ndarray,
     half: np.ndarray,
     hulls: Sequence[Hull | None] | None = None,
+    rounded: np.ndarray | None = None,
 ) -> None:
     """Change solids of a compiled model that are the only geoms of bodies without joints.
 
@@ -137,6 +138,7 @@ def reshape(
         geoms: int[k], at the origin of their bodies.
         half: float64[k, 3], new half extents of those that are boxes [m].
         hulls: what the others are, which :func:`keep_meshes` has been told of.
+        rounded: bool[k], those that are capsules along z, as long and wide as these boxes.
     """
     bodies = model.geom_bodyid[geoms]
     # No frame is taken to be another one any more.
@@ -146,6 +148,11 @@ def reshape(
     model.geom_size[geoms] = half
     model.geom_aabb[geoms, :3], model.geom_aabb[geoms, 3:] = 0.0, half
     model.geom_rbound[geoms] = np.linalg.norm(half, axis=1)
+    if rounded is not None and rounded.any():
+        wide, length = half[rounded, 0], half[rounded, 2]
+        model.geom_type[geoms[rounded]] = mujoco.mjtGeom.mjGEOM_CAPSULE
+        sizes = np.stack([wide, length - wide, np.zeros_like(wide)], 1)
+        model.geom_size[geoms[rounded]], model.geom_rbound[geoms[rounded]] = sizes, length
     for geom, hull in zip(geoms.tolist(), hulls or (), strict=False):
         if hull is not None:
             like = model.geom(f"shape of hull {hash(hull) & 0xFFFFFFFFFFFF:x}").id

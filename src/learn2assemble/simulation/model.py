@@ -34,6 +34,7 @@ from learn2assemble.robot.arm import Arm, arms_spec, prefix_of
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.moves import (
+    ARM_THERE,
     IMMOVABLE,
     ROOM,
     Move,
@@ -118,6 +119,8 @@ class Objects(NamedTuple):
     """float64[k, 3]: their half extents [m]."""
     still_hull: tuple[Hull | None, ...]
     """What they are where they are no boxes."""
+    still_round: np.ndarray
+    """bool[k]: capsules along z as large as these."""
 
     def hulls(self) -> frozenset[Hull]:
         """Of cells that are held still."""
@@ -191,6 +194,7 @@ def group(
         np.hstack([scene.position[still], quaternion[still]]),
         half[still],
         tuple(None if scene.hull is None else scene.hull[k] for k in still.tolist()),
+        np.zeros(len(still), bool) if scene.aside is None else scene.aside[still] == ARM_THERE,
     )
 
 
@@ -445,7 +449,7 @@ def hold_still(world: SimulatedWorld, objects: Objects) -> None:
         model.body_pos[bodies[:count]] = objects.still[:, :3]
         model.body_quat[bodies[:count]] = objects.still[:, 3:]
         geoms = model.body_geomadr[bodies[:count]]
-        reshape(model, geoms, objects.still_half, objects.still_hull)
+        reshape(model, geoms, objects.still_half, objects.still_hull, objects.still_round)
 
 
 def lean_table(model: mujoco.MjModel, table: tuple[float, float, float]) -> None:
