@@ -73,6 +73,18 @@ def accelerate(twist, awake, timestep):
 
 
 @kernel
+def turned_inertia(rotation: np.ndarray, inertia: np.ndarray, out: np.ndarray) -> None:
+    """Fills R I R^T of float64[3, 3]; written out, as small products cost more as calls of BLAS."""
+    for i in range(3):
+        for j in range(3):
+            total = 0.0
+            for k in range(3):
+                for m in range(3):
+                    total += rotation[i, k] * inertia[k, m] * rotation[j, m]
+            out[i, j] = total
+
+
+@kernel
 def inverse_mass_matrix(inverse_mass, inverse_inertia, rotation, awake):
     """float64[b, 6, 6]: twist per impulse at the centre of mass; 0 for what is not awake.
 
@@ -86,14 +98,7 @@ def inverse_mass_matrix(inverse_mass, inverse_inertia, rotation, awake):
         if awake[b]:
             for i in range(3):
                 out[b, i, i] = inverse_mass[b]
-                for j in range(3):
-                    total = 0.0
-                    for k in range(3):
-                        for m in range(3):
-                            total += (
-                                rotation[b, i, k] * inverse_inertia[b, k, m] * rotation[b, j, m]
-                            )
-                    out[b, 3 + i, 3 + j] = total
+            turned_inertia(rotation[b], inverse_inertia[b], out[b, 3:, 3:])
     return out
 
 

@@ -19,6 +19,7 @@ from l2a_lab.bullet.contacts import (
     integrate,
     inverse_mass_matrix,
     touching_bodies,
+    turned_inertia,
     update_manifolds,
     wake,
 )
@@ -28,6 +29,7 @@ from learn2assemble.kernels import kernel
 from learn2assemble.robot.kinematics import (
     Chain,
     factorise,
+    fill_gram,
     fill_jacobian,
     solve_factorised,
     tool_and_frames,
@@ -95,18 +97,6 @@ def _cross(a, b, out):
 
 
 @kernel
-def _turned_inertia(rotation, inertia, out):
-    """R I R^T."""
-    for i in range(3):
-        for j in range(3):
-            total = 0.0
-            for k in range(3):
-                for m in range(3):
-                    total += rotation[i, k] * inertia[k, m] * rotation[j, m]
-            out[i, j] = total
-
-
-@kernel
 def arm_dynamics(
     links: Links, frames: tuple[np.ndarray, np.ndarray], rates: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -147,7 +137,7 @@ def arm_dynamics(
         _cross(turning, arm, one)
         _cross(spin, arm, two)
         _cross(spin, two, step)
-        _turned_inertia(rotations[k], links.inertia[k], inertia[k])
+        turned_inertia(rotations[k], links.inertia[k], inertia[k])
         for i in range(3):
             force[k, i] = links.mass[k] * (pull[i] + one[i] + step[i])
             one[i] = two[i] = 0.0
@@ -424,13 +414,10 @@ def correction(
     """
     n = len(joints)
     positions, rotations = np.empty((n, 3)), np.empty((n, 3, 3))
-    jac, gram, need = np.empty((6, n)), np.zeros((3, 3)), left.copy()
+    jac, gram, need = np.empty((6, n)), np.empty((3, 3)), left.copy()
     tool_and_frames(chain, joints, positions, rotations, np.empty(3), np.empty((3, 3)))
     fill_jacobian(positions, rotations, base, jac)
-    for i in range(3):
-        for j in range(i + 1):
-            for k in range(n):
-                gram[i, j] += jac[i, k] * jac[j, k]
+    fill_gram(jac, 3, np.ones(n, np.bool_), 0.0, gram)
     factorise(gram, 3)
     solve_factorised(gram, 3, need)
     for k in range(n):
