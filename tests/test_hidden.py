@@ -121,7 +121,7 @@ def test_what_is_hidden_is_not_told() -> None:
         told = []
         for one in others:
             one = copy.deepcopy(one)
-            said: list = [one._observe(), one._info(hidden.Happened(""))]
+            said: list = [one.observe(), one._info(hidden.Happened(""))]
             for action in actions:
                 observation, _, ended, truncated, info = one.step(action)
                 said = [observation, ended, truncated, info]
@@ -387,7 +387,7 @@ def test_looks_are_what_helps() -> None:
         env = begun(2, with_factor(0.3))
         env._world.numbers = replace(env._world.numbers, bias=bias)
         policy.begin(env)
-        observation, info, ended = env._observe(), env._info(hidden.Happened("")), False
+        observation, info, ended = env.observe(), env._info(hidden.Happened("")), False
         while not ended:
             observation, _, ended, _, info = env.step(policy(observation, info))
         scores.append(float(env._world.in_place().mean()))

@@ -13,6 +13,7 @@ from typing import Any
 
 from learn2assemble.errors import InputError, check_fields, check_instance, check_name, check_types
 from learn2assemble.registry import Registry
+from learn2assemble.tasks.checkers import checker_names
 from learn2assemble.tasks.networks.config import NetworkConfig
 from learn2assemble.tasks.search.config import SearchConfig, training_search
 from learn2assemble.tasks.task import Task
@@ -98,6 +99,8 @@ class TrainConfig:
         check_types(self)
         check_instance("network", self.network, NetworkConfig, "a NetworkConfig")
         check_name("method", self.method, METHODS)
+        if self.physics:
+            check_name("physics", self.physics, dict.fromkeys(checker_names()))
         relational, encoder = self.network.values_placements, self.network.encoder
         check_fields(
             self,
