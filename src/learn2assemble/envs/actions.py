@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from learn2assemble.constants import HALF
 from learn2assemble.kernels import kernel
-from learn2assemble.tasks.graph.features import Graph, node_offset
+from learn2assemble.tasks.graph.features import Graph, empty_graph, graph_row, node_offset
 from learn2assemble.tasks.graph.placements import distinct_placements
+from learn2assemble.tasks.physics.support import STABLE, UNDECIDED, classify_cube
 from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.task import Task
+from learn2assemble.tasks.world.rules import target_cell
 from learn2assemble.tasks.world.state import State
-
-if TYPE_CHECKING:
-    from learn2assemble.tasks.world.blocks import ActionSpec
 
 
 def num_flat_actions(task: Task) -> int:
@@ -129,6 +129,43 @@ def _named(
                 mask[row, n] = allowed[row, min(block, last), reference, way]
 
 
+@kernel
+def _see(
+    state, frames, pitch, rotations, surveys, nodes, object_id, counts, coverage, legal, stable
+):
+    """Graph, coverage and masks of all rows; returns what placements of cubes are undecided."""
+    undecided = 0
+    for row in range(len(nodes)):
+        graph_row(state, row, frames, nodes, object_id, counts)
+        start = state.initial_pixels[row]
+        span = state.mask_pixels[row] - start
+        coverage[0, row] = (state.complete_pixels[row] - start) / span
+        coverage[1, row] = (state.plane_pixels[row] - start) / span
+        if state.terminated[row]:
+            continue
+        targets, placed, blocks = counts[0, row], counts[1, row], state.num_blocks[row]
+        for j in range(placed):
+            found = UNDECIDED
+            for k in range(legal.shape[3]):
+                if surveys and k % rotations == 0:
+                    x, y, z = target_cell(state, row, j, k // rotations, pitch)
+                    found = classify_cube(state.position[row], placed, x, y, z, HALF)
+                    undecided += found == UNDECIDED
+                for i in range(targets + placed, targets + blocks):
+                    legal[row, i, targets + j, k] = True
+                    stable[row, i, targets + j, k] = found == STABLE
+    return undecided
+
+
+@kernel
+def outside(numbers: np.ndarray, size: int) -> bool:
+    """Whether any of the numbers int[B] is not in ``0..size-1``."""
+    found = False
+    for number in numbers:
+        found |= number < 0 or number >= size
+    return found
+
+
 def resolve_actions(task: Task, state: State, flat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Flat actions to what :meth:`Simulator.step` wants, clipped like the published code.
 
@@ -175,6 +212,20 @@ def expand_mask(task: Task, state: State, allowed: np.ndarray) -> np.ndarray:
     return mask.reshape(state.batch_size, -1)
 
 
+class Seen(NamedTuple):
+    """What observations and infos say of the states of B worlds; A numbers of actions."""
+
+    graph: Graph
+    legal: np.ndarray
+    """bool[B, A]: i unplaced, j placed, no padding, world not ended."""
+    stable: np.ndarray
+    """bool[B, A]: legal, free and stable by static physics; nothing where it was not asked for."""
+    coverage: np.ndarray
+    """float64[B]: F_co."""
+    plane_coverage: np.ndarray
+    """float64[B]: F_pl."""
+
+
 class FlatActions:
     """What the number of an action means: the flat index of the published triple.
 
@@ -183,24 +234,44 @@ class FlatActions:
     """
 
     def __init__(self, simulator: Simulator) -> None:
+        self.simulator: Simulator = simulator
         self.task: Task = simulator.task
         self.size: int = num_flat_actions(simulator.task)
 
-    def look(self, graph: Graph) -> None:
-        """The states that everything else is asked of have this graph."""
+    def see(self, state: State, surveys: bool) -> Seen:
+        """What there is to say of a state; everything else is asked of the one seen last.
+
+        Args:
+            surveys: whether it is said what static physics lets stand.
+        """
+        task, batch, n = self.task, state.batch_size, self.task.num_nodes
+        nodes, object_id, counts = empty_graph(batch, n)
+        coverage, compiled = np.empty((2, batch)), surveys and task.objects == "cubes"
+        legal, stable = np.zeros((2, batch, n, n, task.num_actions), np.bool_)
+        undecided = _see(
+            state,
+            self.simulator.frames,
+            task.pitch,
+            task.rotations,
+            compiled,
+            nodes,
+            object_id,
+            counts,
+            coverage,
+            legal,
+            stable,
+        )
+        flat = stable.reshape(batch, -1)
+        if surveys and (undecided or not compiled):
+            flat = expand_mask(task, state, self.simulator.physics_mask(state))
+        graph = Graph(nodes, object_id, *counts)
+        return Seen(graph, legal.reshape(batch, -1), flat, *coverage)
 
     def resolve(self, state: State, numbers: np.ndarray) -> tuple[np.ndarray, ...]:
         """Actions int64[B, 3] for :meth:`Simulator.step`; bool[B], which were clipped; and
         bool[B], which are refused: none."""
         actions, clipped = resolve_actions(self.task, state, numbers)
         return actions, clipped, np.zeros(len(numbers), np.bool_)
-
-    def mask(self, state: State, allowed: np.ndarray | None = None) -> np.ndarray:
-        """bool[B, size]; see :func:`expand_mask`. All that is legal without ``allowed``."""
-        if allowed is None:
-            shape = (state.batch_size, self.task.max_blocks, self.task.num_actions)
-            allowed = np.ones(shape, np.bool_)
-        return expand_mask(self.task, state, allowed)
 
 
 class PlacementActions:
@@ -214,14 +285,23 @@ class PlacementActions:
     """
 
     def __init__(self, simulator: Simulator) -> None:
-        self.spec: ActionSpec = simulator.action_spec
+        self.simulator: Simulator = simulator
         self.size: int = num_placement_actions(simulator.task)
 
-    def look(self, graph: Graph) -> None:
-        """See :meth:`FlatActions.look`: placements are found once for every state."""
-        self._found = distinct_placements(graph, self.spec)
+    def see(self, state: State, surveys: bool) -> Seen:
+        """See :meth:`FlatActions.see`: placements are found once for every state."""
+        graph = self.simulator.observe(state)
+        self._found = distinct_placements(graph, self.simulator.action_spec)
         local = self._found.action - node_offset(graph)[:, None]
         self._local = local * self._found.used[..., None]
+        offered = np.where(state.terminated, 0, self._found.count)
+        legal = np.arange(self.size) < offered[:, None]
+        stable = np.zeros((state.batch_size, self.size), np.bool_)
+        if surveys:
+            good = self.simulator.physics_mask(state)
+            named = good[:, None] if good.ndim == 3 else good
+            _named(self._local, self._found.count, state.terminated, named, stable)
+        return Seen(graph, legal, stable, state.complete_coverage, state.plane_coverage)
 
     def describe(self) -> np.ndarray:
         """float32[B, size, 3]: middle of the cells that every placement fills [m, world]; zeros
@@ -236,16 +316,6 @@ class PlacementActions:
         refused = numbers >= self._found.count
         chosen = self._local[np.arange(len(numbers)), np.where(refused, 0, numbers)]
         return chosen, np.zeros(len(numbers), np.bool_), refused
-
-    def mask(self, state: State, allowed: np.ndarray | None = None) -> np.ndarray:
-        """bool[B, size]; ``allowed`` as in :meth:`FlatActions.mask`."""
-        mask = np.zeros((state.batch_size, self.size), np.bool_)
-        if allowed is None:
-            offered = np.where(state.terminated, 0, self._found.count)
-            return np.less(np.arange(self.size), offered[:, None], out=mask)
-        named = allowed[:, None] if allowed.ndim == 3 else allowed
-        _named(self._local, self._found.count, state.terminated, named, mask)
-        return mask
 
 
 ACTION_SPACES: dict[str, type[FlatActions] | type[PlacementActions]] = {

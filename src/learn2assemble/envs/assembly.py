@@ -24,11 +24,13 @@ from learn2assemble.envs.actions import (
     ACTION_SPACES,
     FlatActions,
     PlacementActions,
+    Seen,
     num_placement_actions,
+    outside,
 )
 from learn2assemble.envs.drawing import draw_image, draw_text
 from learn2assemble.errors import InputError, UnknownNameError, is_whole
-from learn2assemble.tasks.graph.features import NUM_FEATURES, POSITION, Graph
+from learn2assemble.tasks.graph.features import NUM_FEATURES, POSITION
 from learn2assemble.tasks.physics.protocol import Physics, PlacementVerdict
 from learn2assemble.tasks.simulator import Simulator, WorldTransition
 from learn2assemble.tasks.task import Task, get_task
@@ -109,14 +111,14 @@ class _Worlds:
         """What numbers of actions mean."""
         self._physics_mask = physics_mask
         self._started = False
-        self._graph: Graph | None = None
+        self._seen: Seen | None = None
         """Of the state; None where that has changed since."""
         self._ended = np.zeros(count, np.bool_)
 
     def _begin(self, row: int, rng: np.random.Generator) -> None:
         """Draw a fresh problem into one world."""
         self.simulator.reset(self.state, np.array([row]), rng)
-        self._graph = None
+        self._seen = None
         self._started, self._ended[row] = True, False
 
     def _require_reset(self) -> None:
@@ -130,7 +132,7 @@ class _Worlds:
         refused &= ~self.state.terminated
         self.state.terminated[refused] = True
         done = self.simulator.step(self.state, actions)
-        self._graph = None
+        self._seen = None
         done.reward[refused], done.terminated[refused] = INVALID, True
         self._ended = done.terminated
         columns = done.verdict, done.success, clipped, refused
@@ -147,44 +149,45 @@ class _Worlds:
 
     def _checked(self, flat: ArrayLike) -> np.ndarray:
         count, size = self.state.batch_size, self.numbering.size
-        expected = f"{count} integer{'s' if count > 1 else ''} in 0..{size - 1}"
+
+        def expected() -> str:
+            return f"{count} integer{'s' if count > 1 else ''} in 0..{size - 1}"
+
         try:
             array = np.asarray(flat)
         except ValueError as error:  # ragged
-            raise InputError("action", flat, expected) from error
+            raise InputError("action", flat, expected()) from error
         good = array.shape == (count,) and array.dtype.kind in "iu"
-        if not good or array.min() < 0 or array.max() >= size:
-            raise InputError("action", array.tolist(), expected)
-        return array.astype(np.int64)
+        if not good or outside(array := array.astype(np.int64), size):
+            raise InputError("action", array.tolist(), expected())
+        return array
 
-    def look(self) -> Graph:
-        """The graph of the state; what actions mean goes with it."""
-        if self._graph is None:
-            self._graph = self.simulator.observe(self.state)
-            self.numbering.look(self._graph)
-        return self._graph
+    def look(self) -> Seen:
+        """What there is to say of the state; what actions mean goes with it."""
+        if self._seen is None:
+            self._seen = self.numbering.see(self.state, self._physics_mask)
+        return self._seen
 
     def _observe(self) -> dict[str, np.ndarray]:
-        seen = self.look()._asdict()
+        seen = self.look().graph._asdict()
         if isinstance(self.numbering, PlacementActions):
             seen["placements"] = self.numbering.describe()
         return seen
 
     def _legal(self) -> np.ndarray:
-        """bool[B, A]: i unplaced, j placed, no padding, world not ended."""
+        """bool[B, A]: see :class:`Seen`."""
         self._require_reset()
-        self.look()
-        return self.numbering.mask(self.state)
+        return self.look().legal.copy()
 
     def _known(self) -> dict[str, np.ndarray]:
         """What infos say of the state, see :class:`AssemblyEnv`; arrays over the worlds."""
-        state = self.state
-        info = {"action_masks": self._legal().view(np.int8)}
+        self._require_reset()
+        seen = self.look()
+        info = {"action_masks": seen.legal.view(np.int8)}
         if self._physics_mask:
-            stable = self.simulator.physics_mask(state)
-            info["physics_mask"] = self.numbering.mask(state, stable).view(np.int8)
-        info["coverage"] = state.complete_coverage
-        info["plane_coverage"] = state.plane_coverage
+            info["physics_mask"] = seen.stable.view(np.int8)
+        info["coverage"] = seen.coverage
+        info["plane_coverage"] = seen.plane_coverage
         return info
 
     def _draw(self, row: int) -> Any:

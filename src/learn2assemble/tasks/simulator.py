@@ -16,8 +16,13 @@ from learn2assemble.tasks.checkers import resolve_checker
 from learn2assemble.tasks.graph.features import Graph, build_graph, node_offset
 from learn2assemble.tasks.graph.placements import Placements
 from learn2assemble.tasks.physics.protocol import Physics
-from learn2assemble.tasks.physics.static import survey, survey_objects
-from learn2assemble.tasks.physics.support import STABLE
+from learn2assemble.tasks.physics.static import (
+    StaticPhysics,
+    classify_last,
+    survey,
+    survey_objects,
+)
+from learn2assemble.tasks.physics.support import STABLE, UNDECIDED
 from learn2assemble.tasks.task import MAX_VERTICES, Task, get_task
 from learn2assemble.tasks.world.blocks import ActionSpec, inventory
 from learn2assemble.tasks.world.coverage import FILTERS, DepthFilter
@@ -52,28 +57,122 @@ class WorldTransition(NamedTuple):
 
 
 @kernel
-def _propose_cubes(state, actions, rotations, pitch, active, previous):
-    # Apart from _propose, as a choice inside the loop would double its cost.
+def _score_row(
+    state, row, valid, frames, depths, previous, recompute, kind, threshold, reward, ended, success
+):
+    if recompute:
+        recover_all(state, row, frames, depths)
+    else:
+        for block in range(last_object(state, row), state.num_placed[row]):
+            cover_block(state, row, frames, block, depths)
+    count_row(state, row)
+    reward[row], ended[row], success[row] = reward_and_end(
+        state, row, previous, valid, kind, threshold
+    )
+    state.terminated[row] = ended[row]
+
+
+# These two put one object into every row that has not ended. Where the rules of static physics are
+# asked for and decide, the row is scored at once: handing the state to compiled code costs as much
+# as a step of one world. The other rows are ``pending``; their number is returned. The first is
+# apart from the second, as a choice inside the loop would double its cost.
+@kernel
+def _place_cubes(
+    state,
+    actions,
+    rotations,
+    pitch,
+    decide,
+    frames,
+    depths,
+    kind,
+    threshold,
+    reward,
+    ended,
+    success,
+    verdict,
+    previous,
+    pending,
+):
+    left = 0
     for row in range(len(actions)):
-        previous[row] = state.plane_pixels[row]
-        if active[row]:
+        if not state.terminated[row]:
+            previous[row] = state.plane_pixels[row]
             reference, relation = actions[row, 1], actions[row, 2] // rotations
             x, y, z = target_cell(state, row, reference, relation, pitch)
             source = state.num_placed[row] + actions[row, 0]
             move_cell(state, row, source, reference, x, y, z)
+            found = classify_last(state, row) if decide else UNDECIDED
+            if found == UNDECIDED:
+                pending[left] = row
+                left += 1
+            else:
+                verdict[row] = found
+                _score_row(
+                    state,
+                    row,
+                    found == STABLE,
+                    frames,
+                    depths,
+                    previous[row],
+                    False,
+                    kind,
+                    threshold,
+                    reward,
+                    ended,
+                    success,
+                )
+    return left
 
 
 @kernel
-def _propose(state, actions, spec, active, previous):
+def _place_objects(
+    state,
+    actions,
+    spec,
+    decide,
+    frames,
+    depths,
+    kind,
+    threshold,
+    reward,
+    ended,
+    success,
+    verdict,
+    previous,
+    pending,
+):
+    left = 0
     for row in range(len(actions)):
-        previous[row] = state.plane_pixels[row]
-        if active[row]:
+        if not state.terminated[row]:
+            previous[row] = state.plane_pixels[row]
             unplaced, reference = actions[row, 0], actions[row, 1]
             relation, way = divmod(actions[row, 2], len(spec.turns))
             x, y, z = target_cell(state, row, reference, relation, spec.pitch)
             if spec.level:
                 z += waiting_level(state.position[row, state.num_placed[row] + unplaced, 2])
             move_block(state, row, unplaced, reference, x, y, z, spec.turns[way], spec.pitch)
+            found = classify_last(state, row) if decide else UNDECIDED
+            if found == UNDECIDED:
+                pending[left] = row
+                left += 1
+            else:
+                verdict[row] = found
+                _score_row(
+                    state,
+                    row,
+                    found == STABLE,
+                    frames,
+                    depths,
+                    previous[row],
+                    False,
+                    kind,
+                    threshold,
+                    reward,
+                    ended,
+                    success,
+                )
+    return left
 
 
 @kernel
@@ -93,16 +192,20 @@ def _score(
 ):
     for n in range(len(rows)):
         row = rows[n]
-        if recompute:
-            recover_all(state, row, frames, depths)
-        else:
-            for block in range(last_object(state, row), state.num_placed[row]):
-                cover_block(state, row, frames, block, depths)
-        count_row(state, row)
-        reward[row], ended[row], success[row] = reward_and_end(
-            state, row, previous[row], verdict[n] == 0, kind, threshold
+        _score_row(
+            state,
+            row,
+            verdict[n] == STABLE,
+            frames,
+            depths,
+            previous[row],
+            recompute,
+            kind,
+            threshold,
+            reward,
+            ended,
+            success,
         )
-        state.terminated[row] = ended[row]
 
 
 @kernel
@@ -149,6 +252,10 @@ class Simulator:
             self.depths,
             task.normalise_initial,
         )
+        self._decides = type(self.physics) is StaticPhysics
+        """Whether the compiled rules decide, where they can."""
+        kind, threshold = REWARDS[task.reward], task.success_threshold
+        self._rules = self._decides, self.frames, self.depths, kind, threshold
 
     def empty(self, batch: int) -> State:
         """A state for ``batch`` worlds; reset its rows before use."""
@@ -190,33 +297,42 @@ class Simulator:
                 block (both counted within their group), relative action. They must be legal.
         """
         batch = state.batch_size
-        active = ~state.terminated
-        rows = np.flatnonzero(active)
-        previous = np.empty(batch, np.int64)
-        self.physics.prepare(state, rows, actions)
-        if self.task.objects == "cubes":
-            _propose_cubes(state, actions, self.task.rotations, self.task.pitch, active, previous)
-        else:
-            _propose(state, actions, self.action_spec, active, previous)
-        verdict = self.physics.settle(state, rows)
+        if not self._decides:
+            self.physics.prepare(state, np.flatnonzero(~state.terminated), actions)
         reward, ended = np.zeros(batch), np.zeros(batch, np.bool_)
-        success, verdicts = np.zeros(batch, np.bool_), np.zeros(batch, np.int8)
-        verdicts[rows] = verdict
-        _score(
-            state,
-            rows,
-            verdict,
-            self.frames,
-            self.depths,
-            previous,
-            self.physics.moves_blocks,
-            REWARDS[self.task.reward],
-            self.task.success_threshold,
-            reward,
-            ended,
-            success,
-        )
-        return WorldTransition(reward, ended, success, verdicts)
+        success, verdict = np.zeros(batch, np.bool_), np.zeros(batch, np.int8)
+        previous, pending = np.empty(batch, np.int64), np.empty(batch, np.int64)
+        results = reward, ended, success
+        if self.task.objects == "cubes":
+            left = _place_cubes(
+                state,
+                actions,
+                self.task.rotations,
+                self.task.pitch,
+                *self._rules,
+                *results,
+                verdict,
+                previous,
+                pending,
+            )
+        else:
+            left = _place_objects(
+                state, actions, self.action_spec, *self._rules, *results, verdict, previous, pending
+            )
+        if left or not self._decides:
+            rows = pending[:left]
+            verdict[rows] = found = self.physics.settle(state, rows)
+            _score(
+                state,
+                rows,
+                found,
+                *self._rules[1:3],
+                previous,
+                self.physics.moves_blocks,
+                *self._rules[3:],
+                *results,
+            )
+        return WorldTransition(reward, ended, success, verdict)
 
     def random_actions(self, state: State, rng: np.random.Generator) -> np.ndarray:
         """A uniform legal action for every row: int64[B, 3]."""
@@ -263,5 +379,5 @@ class Simulator:
         """
         if self.task.objects == "cubes":
             stable = survey(state, self.task.pitch) == STABLE
-            return np.repeat(stable, self.task.rotations, -1)
+            return stable if self.task.rotations == 1 else stable.repeat(self.task.rotations, -1)
         return survey_objects(state, self.action_spec) == STABLE

@@ -35,9 +35,37 @@ class Graph(NamedTuple):
 
 
 @kernel
-def _build(state, frames, nodes, object_id, num_nodes):
-    for row in range(len(num_nodes)):
-        num_nodes[row] = observe_row(state, row, frames, nodes[row], object_id[row])
+def graph_row(
+    state: State,
+    row: int,
+    frames: np.ndarray,
+    nodes: np.ndarray,
+    object_id: np.ndarray,
+    counts: np.ndarray,
+) -> None:
+    """Write the graph of one row into arrays of all rows.
+
+    Args:
+        counts: int64[3, B]: targets, placed blocks, nodes.
+    """
+    counts[0, row] = state.num_vertices[row].sum()
+    counts[1, row] = state.num_placed[row]
+    counts[2, row] = observe_row(state, row, frames, nodes[row], object_id[row])
+
+
+@kernel
+def _build(state, frames, nodes, object_id, counts):
+    for row in range(len(nodes)):
+        graph_row(state, row, frames, nodes, object_id, counts)
+
+
+def empty_graph(batch: int, num_nodes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Arrays for :func:`graph_row`: nodes, object numbers and counts, which make a graph."""
+    return (
+        np.empty((batch, num_nodes, NUM_FEATURES), np.float32),
+        np.empty((batch, num_nodes), np.int32),
+        np.empty((3, batch), np.int64),
+    )
 
 
 def build_graph(state: State, frames: np.ndarray, num_nodes: int) -> Graph:
@@ -46,12 +74,9 @@ def build_graph(state: State, frames: np.ndarray, num_nodes: int) -> Graph:
     Args:
         frames: float64[S, 4] of :func:`learn2assemble.tasks.world.layouts.side_frames`.
     """
-    batch = state.batch_size
-    nodes = np.empty((batch, num_nodes, NUM_FEATURES), np.float32)
-    object_id = np.empty((batch, num_nodes), np.int32)
-    used = np.empty(batch, np.int64)
-    _build(state, frames, nodes, object_id, used)
-    return Graph(nodes, object_id, state.num_targets, state.num_placed.copy(), used)
+    nodes, object_id, counts = empty_graph(state.batch_size, num_nodes)
+    _build(state, frames, nodes, object_id, counts)
+    return Graph(nodes, object_id, *counts)
 
 
 def node_offset(graph: Graph) -> np.ndarray:

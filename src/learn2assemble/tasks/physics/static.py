@@ -16,6 +16,7 @@ from learn2assemble.kernels import kernel
 from learn2assemble.tasks.physics.protocol import PlacementVerdict
 from learn2assemble.tasks.physics.support import (
     BALANCE_TOLERANCE,
+    OVERLAP,
     UNDECIDED,
     classify_cube,
     classify_object,
@@ -42,28 +43,36 @@ def _only_cubes(object_id, row, count):
 
 
 @kernel
+def classify_last(state: State, row: int) -> int:
+    """Verdict of the compiled rules on the object of a row that was placed last."""
+    count = state.num_placed[row]
+    if _only_cubes(state.object_id, row, count):
+        p = state.position[row, count - 1]
+        return classify_cube(state.position[row], count - 1, p[0], p[1], p[2], HALF)
+    return classify_object(state.position[row], last_object(state, row), count, HALF)
+
+
+@kernel
 def _settle(state, rows, verdict):
     for n in range(len(rows)):
-        row = rows[n]
-        count = state.num_placed[row]
-        if _only_cubes(state.object_id, row, count):
-            p = state.position[row, count - 1]
-            verdict[n] = classify_cube(state.position[row], count - 1, p[0], p[1], p[2], HALF)
-        else:
-            first = last_object(state, row)
-            verdict[n] = classify_object(state.position[row], first, count, HALF)
+        verdict[n] = classify_last(state, rows[n])
 
 
 @kernel
 def _survey(state, pitch, verdict):
+    """Returns how many are undecided."""
+    undecided = 0
     for row in range(len(state.num_placed)):
         placed = state.num_placed[row]
-        for reference in range(placed):
+        for reference in range(verdict.shape[1]):
             for relation in range(NUM_RELATIONS):
-                x, y, z = target_cell(state, row, reference, relation, pitch)
-                verdict[row, reference, relation] = classify_cube(
-                    state.position[row], placed, x, y, z, HALF
-                )
+                found = OVERLAP
+                if reference < placed:
+                    x, y, z = target_cell(state, row, reference, relation, pitch)
+                    found = classify_cube(state.position[row], placed, x, y, z, HALF)
+                verdict[row, reference, relation] = found
+                undecided += found == UNDECIDED
+    return undecided
 
 
 def _equilibrium(centres: np.ndarray, object_id: np.ndarray) -> int:
@@ -104,9 +113,8 @@ def survey(state: State, pitch: float = EDGE) -> np.ndarray:
         ``num_placed``, so ``survey(state) == STABLE`` is a mask of the good placements.
     """
     batch, blocks = state.position.shape[:2]
-    verdict = np.full((batch, blocks, NUM_RELATIONS), int(PlacementVerdict.OVERLAP), np.int8)
-    _survey(state, pitch, verdict)
-    if not (verdict == UNDECIDED).any():
+    verdict = np.empty((batch, blocks, NUM_RELATIONS), np.int8)
+    if not _survey(state, pitch, verdict):
         return verdict
     for row, reference, relation in np.argwhere(verdict == UNDECIDED):
         placed = state.position[row, : state.num_placed[row]]
