@@ -9,7 +9,7 @@ PRODUCT := $(VENV)/.installed-product
 COMPILED := $(VENV)/.compiled
 KERNELS := $(shell grep -rlF --include='*.py' @kernel src laboratory/src)
 
-.PHONY: demo test test-product test-tasks test-laboratory lint docs install clean
+.PHONY: demo test suite test-product test-tasks test-laboratory lint style types docs install clean
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=python3.x"; exit 1; }
@@ -38,9 +38,13 @@ demo: $(PRODUCT)
 	rm -rf out/demo
 	$(BIN)/l2a build examples/designs/gabled_house.json --arm panda --out out/demo
 
-lint: $(STAMP)
+lint: style types
+
+style: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: $(STAMP)
 	$(BIN)/pyright
 
 docs: $(STAMP)
@@ -49,10 +53,13 @@ docs: $(STAMP)
 # A process for every core, each with one thread; one that is done takes over tests of the others.
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
-# Types, documents and compiling take one core each for a minute.
-test: $(STAMP)
-	$(MAKE) --jobs 2 --output-sync=target $(COMPILED) lint docs
+suite: $(COMPILED)
 	$(PYTEST)
+
+# Compiling and documents take a core each for a minute; types fill what tests that wait leave free.
+test: $(STAMP)
+	$(MAKE) --jobs 2 --output-sync=target $(COMPILED) style docs
+	$(MAKE) --jobs 2 suite types
 
 test-product test-tasks test-laboratory: $(COMPILED)
 	$(PYTEST) -m $(subst test-,,$@)

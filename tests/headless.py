@@ -1,10 +1,13 @@
-"""A headless browser that opens pages without a network, and what its pictures show."""
+"""Programs that tests start: a headless browser that opens pages without a network, with what its
+pictures show, and scripts of the repository, run as a user runs them.
+"""
 
 from __future__ import annotations
 
 import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -95,3 +98,21 @@ def pixels(image: np.ndarray, colour: str) -> int:
     """Pixels within two levels of a colour."""
     wanted = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)])
     return int((np.abs(np.rint(255 * image[..., :3]) - wanted) <= 2).all(-1).sum())
+
+
+ROOT = Path(__file__).parents[1]
+
+
+def run_script(script: Path, *words: str, cwd: Path) -> str:
+    """What a script prints that ends well."""
+    done = subprocess.run(
+        [sys.executable, str(script), *words],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout

@@ -16,6 +16,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+from headless import ROOT, run_script
 from learn2assemble.cli import main
 from learn2assemble.envs import suite
 from learn2assemble.envs.policies import (
@@ -45,7 +46,6 @@ from learn2assemble.tasks.evaluation.episodes import (
 )
 from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.task import get_task
-from scripts import ROOT, run_script
 
 OUTSIDERS = ROOT / "examples" / "benchmark"
 SMALL, ROBOT = "two-sided-3x3-20-24", "robot-two-sided-3x3-10-14"

@@ -13,12 +13,12 @@ from types import SimpleNamespace
 
 import pytest
 
+from headless import ROOT, run_script
 from l2a_lab.__main__ import command_line
 from learn2assemble.cli import main
 from learn2assemble.cli.parser import L2A, make_parser
 from learn2assemble.tasks.networks.agent import agent_files
 from learn2assemble.tasks.task import PRESETS
-from scripts import ROOT, run_script
 
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)

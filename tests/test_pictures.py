@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from headless import ROOT
 from learn2assemble.envs import env_id
 from learn2assemble.envs.designs import DesignEnv
 from learn2assemble.envs.hidden import HiddenEnv
@@ -27,7 +28,6 @@ from learn2assemble.envs.suite import SuiteTask
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.tasks.hidden_world import STILL
 from learn2assemble.tasks.world.coverage import to_pixels
-from scripts import ROOT
 
 PLACEMENTS, HIDDEN = "two-sided-3x3-20-24", "hidden-designs-20"
 SEEN = f"{ROOT / 'examples' / 'benchmark' / 'from_pictures.py'}:Seen"

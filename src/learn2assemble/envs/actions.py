@@ -131,8 +131,18 @@ def _named(
 
 @kernel
 def _see(
-    state, frames, pitch, rotations, surveys, nodes, object_id, counts, coverage, legal, stable
-):
+    state: State,
+    frames: np.ndarray,
+    pitch: float,
+    rotations: int,
+    surveys: bool,
+    nodes: np.ndarray,
+    object_id: np.ndarray,
+    counts: np.ndarray,
+    coverage: np.ndarray,
+    legal: np.ndarray,
+    stable: np.ndarray,
+) -> int:
     """Graph, coverage and masks of all rows; returns what placements of cubes are undecided."""
     undecided = 0
     for row in range(len(nodes)):

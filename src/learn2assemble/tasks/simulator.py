@@ -24,9 +24,15 @@ from learn2assemble.tasks.physics.static import (
 )
 from learn2assemble.tasks.physics.support import STABLE, UNDECIDED
 from learn2assemble.tasks.task import MAX_VERTICES, Task, get_task
-from learn2assemble.tasks.world.blocks import ActionSpec, inventory
+from learn2assemble.tasks.world.blocks import ActionSpec, Inventory, inventory
 from learn2assemble.tasks.world.coverage import FILTERS, DepthFilter
-from learn2assemble.tasks.world.layouts import Problems, sample_problem, side_frames, waiting_places
+from learn2assemble.tasks.world.layouts import (
+    Problems,
+    Waiting,
+    sample_problem,
+    side_frames,
+    waiting_places,
+)
 from learn2assemble.tasks.world.outcomes import Outcomes, outcomes
 from learn2assemble.tasks.world.rules import (
     REWARDS,
@@ -57,159 +63,128 @@ class WorldTransition(NamedTuple):
 
 
 @kernel
-def _score_row(
-    state, row, valid, frames, depths, previous, recompute, kind, threshold, reward, ended, success
-):
-    if recompute:
-        recover_all(state, row, frames, depths)
-    else:
-        for block in range(last_object(state, row), state.num_placed[row]):
-            cover_block(state, row, frames, block, depths)
-    count_row(state, row)
-    reward[row], ended[row], success[row] = reward_and_end(
-        state, row, previous, valid, kind, threshold
-    )
-    state.terminated[row] = ended[row]
-
-
-# These two put one object into every row that has not ended. Where the rules of static physics are
-# asked for and decide, the row is scored at once: handing the state to compiled code costs as much
-# as a step of one world. The other rows are ``pending``; their number is returned. The first is
-# apart from the second, as a choice inside the loop would double its cost.
-@kernel
-def _place_cubes(
-    state,
-    actions,
-    rotations,
-    pitch,
-    decide,
-    frames,
-    depths,
-    kind,
-    threshold,
-    reward,
-    ended,
-    success,
-    verdict,
-    previous,
-    pending,
-):
-    left = 0
+def _propose_cubes(
+    state: State, actions: np.ndarray, rotations: int, pitch: float, previous: np.ndarray
+) -> None:
+    # Apart from _propose, as a choice inside the loop would double its cost.
     for row in range(len(actions)):
+        previous[row] = state.plane_pixels[row]
         if not state.terminated[row]:
-            previous[row] = state.plane_pixels[row]
             reference, relation = actions[row, 1], actions[row, 2] // rotations
             x, y, z = target_cell(state, row, reference, relation, pitch)
             source = state.num_placed[row] + actions[row, 0]
             move_cell(state, row, source, reference, x, y, z)
-            found = classify_last(state, row) if decide else UNDECIDED
-            if found == UNDECIDED:
-                pending[left] = row
-                left += 1
-            else:
-                verdict[row] = found
-                _score_row(
-                    state,
-                    row,
-                    found == STABLE,
-                    frames,
-                    depths,
-                    previous[row],
-                    False,
-                    kind,
-                    threshold,
-                    reward,
-                    ended,
-                    success,
-                )
-    return left
 
 
 @kernel
-def _place_objects(
-    state,
-    actions,
-    spec,
-    decide,
-    frames,
-    depths,
-    kind,
-    threshold,
-    reward,
-    ended,
-    success,
-    verdict,
-    previous,
-    pending,
-):
-    left = 0
+def _propose(state: State, actions: np.ndarray, spec: ActionSpec, previous: np.ndarray) -> None:
     for row in range(len(actions)):
+        previous[row] = state.plane_pixels[row]
         if not state.terminated[row]:
-            previous[row] = state.plane_pixels[row]
             unplaced, reference = actions[row, 0], actions[row, 1]
             relation, way = divmod(actions[row, 2], len(spec.turns))
             x, y, z = target_cell(state, row, reference, relation, spec.pitch)
             if spec.level:
                 z += waiting_level(state.position[row, state.num_placed[row] + unplaced, 2])
-            move_block(state, row, unplaced, reference, x, y, z, spec.turns[way], spec.pitch)
-            found = classify_last(state, row) if decide else UNDECIDED
-            if found == UNDECIDED:
-                pending[left] = row
-                left += 1
-            else:
-                verdict[row] = found
-                _score_row(
-                    state,
-                    row,
-                    found == STABLE,
-                    frames,
-                    depths,
-                    previous[row],
-                    False,
-                    kind,
-                    threshold,
-                    reward,
-                    ended,
-                    success,
-                )
-    return left
+            turn = int(spec.turns[way])
+            move_block(state, row, unplaced, reference, x, y, z, turn, spec.pitch)
 
 
 @kernel
 def _score(
-    state,
-    rows,
-    verdict,
-    frames,
-    depths,
-    previous,
-    recompute,
-    kind,
-    threshold,
-    reward,
-    ended,
-    success,
-):
-    for n in range(len(rows)):
-        row = rows[n]
-        _score_row(
-            state,
-            row,
-            verdict[n] == STABLE,
-            frames,
-            depths,
-            previous[row],
-            recompute,
-            kind,
-            threshold,
-            reward,
-            ended,
-            success,
+    state: State,
+    rows: np.ndarray,
+    verdict: np.ndarray,
+    frames: np.ndarray,
+    depths: DepthFilter,
+    previous: np.ndarray,
+    recompute: bool,
+    kind: int,
+    threshold: float,
+    reward: np.ndarray,
+    ended: np.ndarray,
+    success: np.ndarray,
+) -> None:
+    for row in rows:
+        if recompute:
+            recover_all(state, row, frames, depths)
+        else:
+            for block in range(last_object(state, row), state.num_placed[row]):
+                cover_block(state, row, frames, block, depths)
+        count_row(state, row)
+        reward[row], ended[row], success[row] = reward_and_end(
+            state, row, int(previous[row]), verdict[row] == STABLE, kind, threshold
         )
+        state.terminated[row] = ended[row]
 
 
 @kernel
-def _reset_rows(state, rows, rng, frames, stock, waiting, problems):
+def _advance(
+    state: State,
+    actions: np.ndarray,
+    spec: ActionSpec,
+    cubes: bool,
+    decide: bool,
+    frames: np.ndarray,
+    depths: DepthFilter,
+    kind: int,
+    threshold: float,
+    reward: np.ndarray,
+    ended: np.ndarray,
+    success: np.ndarray,
+    verdict: np.ndarray,
+    previous: np.ndarray,
+    pending: np.ndarray,
+    scored: np.ndarray,
+) -> int:
+    """Put one object into every row that has not ended.
+
+    One call, as handing the state to compiled code costs as much as a step of one world. Where the
+    rules of static physics are asked for and ``decide``, a row is scored at once; the others are
+    ``pending``, and their number is returned.
+    """
+    if cubes:
+        _propose_cubes(state, actions, len(spec.turns), spec.pitch, previous)
+    else:
+        _propose(state, actions, spec, previous)
+    # One loop for each is faster than one for both, where there are many rows.
+    left = judged = 0
+    for row in range(len(actions)):
+        if not state.terminated[row]:
+            verdict[row] = classify_last(state, row) if decide else UNDECIDED
+            if verdict[row] == UNDECIDED:
+                pending[left] = row
+                left += 1
+            else:
+                scored[judged] = row
+                judged += 1
+    _score(
+        state,
+        scored[:judged],
+        verdict,
+        frames,
+        depths,
+        previous,
+        False,
+        kind,
+        threshold,
+        reward,
+        ended,
+        success,
+    )
+    return left
+
+
+@kernel
+def _reset_rows(
+    state: State,
+    rows: np.ndarray,
+    rng: np.random.Generator,
+    frames: np.ndarray,
+    stock: Inventory,
+    waiting: Waiting,
+    problems: Problems,
+) -> int:
     draws = 0
     for n in range(len(rows)):
         d = sample_problem(state, rows[n], rng, frames, stock, waiting, problems)
@@ -301,35 +276,34 @@ class Simulator:
             self.physics.prepare(state, np.flatnonzero(~state.terminated), actions)
         reward, ended = np.zeros(batch), np.zeros(batch, np.bool_)
         success, verdict = np.zeros(batch, np.bool_), np.zeros(batch, np.int8)
-        previous, pending = np.empty(batch, np.int64), np.empty(batch, np.int64)
+        previous, pending, scored = np.empty((3, batch), np.int64)
         results = reward, ended, success
-        if self.task.objects == "cubes":
-            left = _place_cubes(
-                state,
-                actions,
-                self.task.rotations,
-                self.task.pitch,
-                *self._rules,
-                *results,
-                verdict,
-                previous,
-                pending,
-            )
-        else:
-            left = _place_objects(
-                state, actions, self.action_spec, *self._rules, *results, verdict, previous, pending
-            )
+        cubes = self.task.objects == "cubes"
+        left = _advance(
+            state,
+            actions,
+            self.action_spec,
+            cubes,
+            *self._rules,
+            *results,
+            verdict,
+            previous,
+            pending,
+            scored,
+        )
         if left or not self._decides:
-            rows = pending[:left]
-            verdict[rows] = found = self.physics.settle(state, rows)
+            rows, (_, frames, depths, kind, threshold) = pending[:left], self._rules
+            verdict[rows] = self.physics.settle(state, rows)
             _score(
                 state,
                 rows,
-                found,
-                *self._rules[1:3],
+                verdict,
+                frames,
+                depths,
                 previous,
                 self.physics.moves_blocks,
-                *self._rules[3:],
+                kind,
+                threshold,
                 *results,
             )
         return WorldTransition(reward, ended, success, verdict)

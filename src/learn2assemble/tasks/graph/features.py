@@ -54,7 +54,13 @@ def graph_row(
 
 
 @kernel
-def _build(state, frames, nodes, object_id, counts):
+def _build(
+    state: State,
+    frames: np.ndarray,
+    nodes: np.ndarray,
+    object_id: np.ndarray,
+    counts: np.ndarray,
+) -> None:
     for row in range(len(nodes)):
         graph_row(state, row, frames, nodes, object_id, counts)
 
@@ -99,7 +105,7 @@ def connectivity(graph: Any, kind: str = "partial", index: Any = None) -> Any:
         index: int64[N], 0 to N - 1, as such a tensor.
     """
     if index is None:
-        index = np.arange(graph.nodes.shape[1])
+        index = np.arange(int(graph.nodes.shape[1]))
     used = index < graph.num_nodes[:, None]
     pairs = used[:, :, None] & used[:, None, :]
     if kind == "partial":

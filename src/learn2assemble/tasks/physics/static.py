@@ -35,7 +35,7 @@ NUM_RELATIONS = len(DIRECTIONS)
 
 
 @kernel
-def _only_cubes(object_id, row, count):
+def _only_cubes(object_id: np.ndarray, row: int, count: int) -> bool:
     only = True
     for k in range(1, count):
         only &= object_id[row, k] != object_id[row, k - 1]
@@ -53,13 +53,13 @@ def classify_last(state: State, row: int) -> int:
 
 
 @kernel
-def _settle(state, rows, verdict):
+def _settle(state: State, rows: np.ndarray, verdict: np.ndarray) -> None:
     for n in range(len(rows)):
         verdict[n] = classify_last(state, rows[n])
 
 
 @kernel
-def _survey(state, pitch, verdict):
+def _survey(state: State, pitch: float, verdict: np.ndarray) -> int:
     """Returns how many are undecided."""
     undecided = 0
     for row in range(len(state.num_placed)):
@@ -126,7 +126,15 @@ def survey(state: State, pitch: float = EDGE) -> np.ndarray:
 
 
 @kernel
-def _try_object(state, row, unplaced, reference, action, spec, position):
+def _try_object(
+    state: State,
+    row: int,
+    unplaced: int,
+    reference: int,
+    action: int,
+    spec: ActionSpec,
+    position: np.ndarray,
+) -> tuple[int, int]:
     """Verdict on one placement; its cells follow the placed ones in ``position``: (verdict, n)."""
     placed = state.num_placed[row]
     relation, way = divmod(action, len(spec.turns))
@@ -149,7 +157,7 @@ def _try_object(state, row, unplaced, reference, action, spec, position):
 
 
 @kernel
-def _same_object(state, row, a, b):
+def _same_object(state: State, row: int, a: int, b: int) -> bool:
     """Whether two waiting blocks have the same cells around them, in the same order."""
     placed, blocks = state.num_placed[row], state.num_blocks[row]
     object_id, position = state.object_id, state.position[row]
@@ -167,7 +175,9 @@ def _same_object(state, row, a, b):
 
 
 @kernel
-def _try_objects(state, row, spec, position, verdict):
+def _try_objects(
+    state: State, row: int, spec: ActionSpec, position: np.ndarray, verdict: np.ndarray
+) -> None:
     for unplaced in range(verdict.shape[0]):
         for earlier in range(unplaced):
             if _same_object(state, row, unplaced, earlier):
