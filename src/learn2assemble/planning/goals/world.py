@@ -41,6 +41,8 @@ class GoalProblem:
     site: LatticeSite
     order: np.ndarray
     """int64[n]: candidates from below."""
+    beside: np.ndarray
+    """bool[cells of candidates, 3]: whether the block has the next cell in x, in y, in both."""
     bed_start: np.ndarray
     bed: np.ndarray
     """Lowest cells of every candidate: ``bed[bed_start[k]:bed_start[k + 1]]``, flat."""
@@ -94,6 +96,7 @@ def make_problem(goals: Goals) -> GoalProblem:
         goals,
         site,
         np.argsort(found.origin[:, 2], kind="stable"),
+        _beside(found.start, found.cell, strides[0], strides[1]),
         np.concatenate([[0], np.cumsum([len(bed) for bed in beds])]).astype(np.int64),
         np.concatenate(beds) if beds else none,
         centre,
@@ -168,6 +171,7 @@ def _relaxed(
         problem.order,
         found.start,
         found.cell,
+        problem.beside,
         problem.bed_start,
         problem.bed,
         problem.centre,
@@ -281,6 +285,18 @@ def _cover(cells, depth, owner, alive, over_start, over):
             k -= 1
 
 
+@kernel
+def _beside(start, cell, step_x, step_y):
+    found = np.zeros((len(cell), 3), np.bool_)
+    for k in range(len(start) - 1):
+        for j in range(start[k], start[k + 1]):
+            for i in range(start[k], start[k + 1]):
+                found[j, 0] |= cell[i] == cell[j] + step_x
+                found[j, 1] |= cell[i] == cell[j] + step_y
+                found[j, 2] |= cell[i] == cell[j] + step_x + step_y
+    return found
+
+
 @kernel(inline="always")
 def _keep(least, at, k, value, cell):
     """The cheapest so far of one kind, and its cell."""
@@ -289,20 +305,28 @@ def _keep(least, at, k, value, cell):
 
 
 @kernel
-def _support(need, bed, first, last, cx, cy, step_x, step_y, size_y, ref_kind, ref_cell):
-    """What it takes to carry a centroid (cx, cy); ``ref_*`` become the supports."""
+def _support(work, first, last, cx, cy, ref_kind, ref_cell):
+    """What it takes to carry a centroid (cx, cy); ``ref_*`` become the supports.
+
+    Args:
+        work: ``need`` and ``bed``, x and y of every cell, and float64[8] and int64[8] to write to:
+            making them here takes as long as the rest.
+    """
+    need, bed, column, least, at = work
     big = best = 1e9
-    ref_kind[:] = -1
+    for n in range(4):
+        ref_kind[n] = -1
+    for n in range(8):
+        least[n], at[n] = big, 0
     # The cell below the centroid; two of them, or four, where it is over an edge.
     ex = 1 if abs(cx - np.rint(cx)) < 1e-6 else 0
     ey = 1 if abs(cy - np.rint(cy)) < 1e-6 else 0
     bx = int(np.rint(cx)) - 1 if ex else int(np.floor(cx))
     b_y = int(np.rint(cy)) - 1 if ey else int(np.floor(cy))
     # Straight to the left, to the right, in front and behind; then anywhere on these sides.
-    least, at = np.full(8, big), np.zeros(8, np.int64)
     for j in range(first, last):
         below = bed[j] - 1
-        x, y = below // step_x, (below // step_y) % size_y
+        x, y = column[below, 0], column[below, 1]
         if x == bx and y == b_y and need[ex + 2 * ey, below] < best:
             best = need[ex + 2 * ey, below]
             ref_kind[0], ref_cell[0] = ex + 2 * ey, below
@@ -328,10 +352,11 @@ def _support(need, bed, first, last, cx, cy, step_x, step_y, size_y, ref_kind, r
             best = value
             for n in range(2):
                 ref_kind[n], ref_cell[n] = 2 * ey if axis == 0 else ex, at[2 * axis + n]
-    worst = least[4:].max()
+    worst = max(least[4], least[5], least[6], least[7])
     if best >= big and worst < big:
         best = worst + 1.0
-        ref_kind[:], ref_cell[:] = 0, at[4:]
+        for n in range(4):
+            ref_kind[n], ref_cell[n] = 0, at[4 + n]
     return best
 
 
@@ -342,6 +367,7 @@ def _relax(
     order,
     start,
     cell,
+    beside,
     bed_start,
     bed,
     centre,
@@ -360,9 +386,11 @@ def _relax(
     # What it takes to fill a cell, it and its neighbour in x, in y, or the square of four.
     need = np.full((4, cells), big)
     by = np.full((4, cells), -1)
+    column = np.empty((cells, 2), np.int64)
     for c in range(cells):
+        x, y = c // step_x, (c // step_y) % size_y
+        column[c, 0], column[c, 1] = x, y
         if owner[c] >= 0:
-            x, y = c // step_x, (c // step_y) % size_y
             right = x + 1 < shape[0] and owner[c + step_x] >= 0
             back = y + 1 < size_y and owner[c + step_y] >= 0
             need[0, c] = 0.0
@@ -376,6 +404,7 @@ def _relax(
     ref_kind = np.full((count, 4), -1)
     ref_cell = np.zeros((count, 4), np.int64)
     kinds, places = np.full(4, -1), np.zeros(4, np.int64)
+    work = need, bed, column, np.empty(8), np.empty(8, np.int64)
     for k in order:
         if not alive[k]:
             continue
@@ -383,33 +412,11 @@ def _relax(
         if level[k] == 0:
             best = 0.0
         else:
-            best = _support(
-                need,
-                bed,
-                bed_start[k],
-                bed_start[k + 1],
-                centre[k, 0],
-                centre[k, 1],
-                step_x,
-                step_y,
-                size_y,
-                ref_kind[k],
-                ref_cell[k],
-            )
-            if heavy[k, 0] != centre[k, 0] or heavy[k, 1] != centre[k, 1]:
-                more = _support(
-                    need,
-                    bed,
-                    bed_start[k],
-                    bed_start[k + 1],
-                    heavy[k, 0],
-                    heavy[k, 1],
-                    step_x,
-                    step_y,
-                    size_y,
-                    kinds,
-                    places,
-                )
+            first, last = bed_start[k], bed_start[k + 1]
+            x, y = centre[k, 0], centre[k, 1]
+            best = _support(work, first, last, x, y, ref_kind[k], ref_cell[k])
+            if heavy[k, 0] != x or heavy[k, 1] != y:
+                more = _support(work, first, last, heavy[k, 0], heavy[k, 1], kinds, places)
                 if more > best:
                     best = more
                     ref_kind[k], ref_cell[k] = kinds, places
@@ -420,11 +427,7 @@ def _relax(
         cost[k] = total
         for j in range(start[k], start[k + 1]):
             c = cell[j]
-            right = back = both = False
-            for i in range(start[k], start[k + 1]):
-                right = right or cell[i] == c + step_x
-                back = back or cell[i] == c + step_y
-                both = both or cell[i] == c + step_x + step_y
+            right, back, both = beside[j, 0], beside[j, 1], beside[j, 2]
             if total < need[0, c]:
                 need[0, c], by[0, c] = total, k
             if right and total < need[1, c]:
