@@ -99,21 +99,31 @@ def objects_batch_actions_per_s(seconds: float) -> float:
 
 def static_single_steps_per_s(seconds: float) -> float:
     """Single environment through Gymnasium, random legal actions, resets included."""
-    return _steps("flat", seconds)
+    return _steps(TASK, seconds, actions="flat")
 
 
 def placements_single_steps_per_s(seconds: float) -> float:
     """The same with one action for every distinct placement."""
-    return _steps("placements", seconds)
+    return _steps(TASK, seconds, actions="placements")
 
 
-def _steps(actions: str, seconds: float) -> float:
+def designs_single_steps_per_s(seconds: float) -> float:
+    """The environment of random designs of cubes, episodes drawn from 5 problems."""
+    return _steps("designs-cubes-60", seconds, pool=5)
+
+
+def goals_single_steps_per_s(seconds: float) -> float:
+    """The environment in which a bridge is invented."""
+    return _steps("goals-bridge", seconds)
+
+
+def _steps(task: str, seconds: float, **options: Any) -> float:
     with extra("gymnasium", "learn"):
         import gymnasium
 
     from learn2assemble.envs import env_id
 
-    env = gymnasium.make(env_id(TASK), actions=actions)
+    env = gymnasium.make(env_id(task), **options)
     rng = np.random.default_rng(0)
     _, info = env.reset(seed=0)
 
@@ -258,6 +268,8 @@ MEASUREMENTS: dict[str, Callable[[float], float]] = {
     "static_batch_actions_per_s": static_batch_actions_per_s,
     "static_single_steps_per_s": static_single_steps_per_s,
     "placements_single_steps_per_s": placements_single_steps_per_s,
+    "designs_single_steps_per_s": designs_single_steps_per_s,
+    "goals_single_steps_per_s": goals_single_steps_per_s,
     "rigid_actions_per_s": rigid_actions_per_s,
     "kinematic_actions_per_s": kinematic_actions_per_s,
     "dynamic_move_s": dynamic_move_s,
