@@ -10,7 +10,7 @@ import hashlib
 from collections.abc import Callable, Iterable
 from functools import cached_property, partial
 from types import CodeType, ModuleType
-from typing import Any, TypeVar, overload
+from typing import Any, TypeVar, cast, overload
 
 import numpy as np
 from numba import njit
@@ -57,12 +57,13 @@ class _KernelCache(FunctionCache):
             if isinstance(cache, _KernelCache):
                 called.append(cache)
             elif isinstance(value, np.ndarray):
-                values[name] = value.dtype.str, value.shape, value.tobytes()
+                array = cast("np.ndarray", value)
+                values[name] = array.dtype.str, array.shape, array.tobytes()
             elif isinstance(value, tuple):
-                for i, part in enumerate(value):
+                for i, part in enumerate(cast("tuple[Any, ...]", value)):
                     add(f"{name}[{i}]", part)
             elif isinstance(value, int | float | complex | str | np.generic):
-                values[name] = repr(value)
+                values[name] = repr(cast("object", value))
             elif deep and isinstance(value, ModuleType | type):
                 values[name] = getattr(value, "_fields", None)
                 get = vars(value).get if isinstance(value, ModuleType) else partial(getattr, value)
@@ -106,7 +107,7 @@ def kernel(function: Any = None, /, **options: Any) -> Any:
         options: of ``numba.njit``.
     """
     if function is None:
-        return lambda function: kernel(function, **options)
+        return partial(kernel, **options)
     compiled: Any = njit(**options)(function)
     compiled._cache = _KernelCache(function)
     return compiled

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
 from string import Template
 
@@ -13,6 +14,7 @@ from learn2assemble.assembly.instruction_words import BILL_HEAD, CUT_HEAD, HEAD,
 from learn2assemble.export import asset
 from learn2assemble.export.pictures import (
     Booklet,
+    Card,
     Grid,
     Picture,
     booklet,
@@ -61,7 +63,7 @@ def step_cards(assembly: Assembly) -> str:
     )
 
 
-def _card(pen: _CardPen, card) -> str:
+def _card(pen: _CardPen, card: Card) -> str:
     words = "".join(f"<p>{escape(text)}</p>" for text in card.words)
     wanted = "".join(
         f'<li><i class="{pen.paint(shape.colour)}"></i>{escape(text)}</li>'
@@ -75,7 +77,7 @@ def _card(pen: _CardPen, card) -> str:
     )
 
 
-def _table(head: tuple[str, ...], rows, name: str = "") -> str:
+def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]], name: str = "") -> str:
     top = "".join(f"<th>{escape(word)}" for word in head)
     body = "".join("<tr>" + "".join(f"<td>{escape(cell)}" for cell in row) for row in rows)
     return f"<table{name and f' class={name}'}><tr>{top}{body}</table>"
@@ -177,7 +179,7 @@ class _CardPen:
 
     def symbols(self) -> str:
         """What the drawings share."""
-        found = []
+        found = list[str]()
         for number in sorted(self.figures):
             figure = self.book.scene.figures[number]
             faces = "".join(

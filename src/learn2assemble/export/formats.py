@@ -10,6 +10,7 @@ import io
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -90,7 +91,7 @@ def glb(assembly: Assembly) -> bytes:
     """The finished structure as binary glTF, one named node a block, z up turned to y up."""
     import trimesh
 
-    scene = trimesh.Scene()
+    scene: Any = trimesh.Scene()
     for block, name in _finished_colours(assembly):
         triangles = np.concatenate(
             [fan_triangles(part.vertices, part.faces) for part in convex_parts(block)]
@@ -246,7 +247,7 @@ _Entry = tuple[str, str, int]
 def _entries(assembly: Assembly) -> dict[str, _Entry]:
     """The line of the bill of every block; posts of one cut have one."""
     cuts: list[Cut] = []
-    found = {}
+    found = dict[str, _Entry]()
     for block in assembly.blocks:
         cut, number = _cut(block), 0
         if cut is not None:

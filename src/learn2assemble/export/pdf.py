@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -136,9 +136,11 @@ class _Pages:
         draw(x, y, _plain(text))
 
     def _wrapped(self, text: str, width: float, size: float) -> list[str]:
-        from reportlab.lib.utils import simpleSplit
+        from reportlab.lib.utils import (
+            simpleSplit,  # pyright: ignore[reportUnknownVariableType]
+        )
 
-        return simpleSplit(_plain(text), "Helvetica", size, width)
+        return cast("list[str]", simpleSplit(_plain(text), "Helvetica", size, width))
 
     def _paragraph(self, text: str, size: float = 9.0) -> None:
         for line in self._wrapped(text, _WIDTH - 2 * _EDGE, size):

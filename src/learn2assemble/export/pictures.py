@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
@@ -50,6 +51,10 @@ Mark = Literal["", "new", "gone", "held"]
 """How the edges of a block are drawn over all."""
 
 
+_Arrow = tuple[np.ndarray, np.ndarray]
+"""From where to where, float64[2] each [m in the drawing]."""
+
+
 @dataclass(frozen=True, eq=False)
 class Use:
     """A part of a block in a picture."""
@@ -73,7 +78,7 @@ class Picture:
     uses: tuple[Use, ...]
     outlines: tuple[Use, ...] = ()
     """Edges drawn over all, so that what is hidden is seen."""
-    arrows: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
+    arrows: tuple[_Arrow, ...] = ()
     labels: tuple[tuple[np.ndarray, str], ...] = ()
     place: tuple[float, float, float, float] | None = None
     """Where the step is in the whole seen from above, x, y, width and depth as shares; None where
@@ -104,11 +109,11 @@ class Booklet:
     spacing: float
     title: str
     facts: tuple[str, ...]
-    bill: list[tuple[str, ...]] = field(default_factory=list)
-    cuts: list[tuple[str, ...]] = field(default_factory=list)
+    bill: list[tuple[str, ...]] = field(default_factory=list[tuple[str, ...]])
+    cuts: list[tuple[str, ...]] = field(default_factory=list[tuple[str, ...]])
     """The posts to cut."""
-    start: list[tuple[str, ...]] = field(default_factory=list)
-    corners: list[tuple[str, str]] = field(default_factory=list)
+    start: list[tuple[str, ...]] = field(default_factory=list[tuple[str, ...]])
+    corners: list[tuple[str, str]] = field(default_factory=list[tuple[str, str]])
     """Of every shape that is no box: its letter, and its corners."""
 
 
@@ -121,7 +126,7 @@ def booklet(assembly: Assembly) -> Booklet:
     until = {p.block: g.number for g in told.groups for p in g.placements if p.action == "remove"}
     whole = _grid((0, 0), tuple(told.extent[:2]), 0.0, spacing, float(told.extent[2]))
     common = _Common(told, scene, spacing, whole, layers, until, {})
-    cards = []
+    cards = list[Card]()
     for group, standing in zip(told.groups, scene.standing(), strict=True):
         cards.append(_card(common, group, standing))
     finished = {assembly.index(b.id) for b in assembly.finished.blocks}
@@ -161,7 +166,7 @@ class _Common(NamedTuple):
     """How many there are."""
     until: dict[int, int]
     """Number of the step that takes a block away again."""
-    grids: dict[tuple, Grid]
+    grids: dict[tuple[float, ...], Grid]
     """Of cards that do not show all, drawn once each."""
 
 
@@ -201,7 +206,7 @@ def _card(common: _Common, group: Group, standing: set[int]) -> Card:
         low[:2] = np.maximum(low[:2], 0)
         high[:2] = np.minimum(high[:2], np.ceil(told.extent[:2] / spacing - 1e-6) * spacing)
         level = float(scene.low[members][:, 2].min())
-        key = (*np.round(low[:2], 6), *np.round(high[:2], 6), round(level, 6))
+        key = (*low[:2].round(6), *high[:2].round(6), round(level, 6))
         if key not in grids:
             grids[key] = _grid(tuple(low[:2]), tuple(high[:2]), level, spacing, 0.0)
         grid = grids[key]
@@ -212,7 +217,8 @@ def _card(common: _Common, group: Group, standing: set[int]) -> Card:
         )
         x, y, w, d = (*(corner / told.extent[:2]), *(size / told.extent[:2]))
         place = (float(x), float(y), float(w), float(d))
-    arrows, labels, told_of = [], [], set[int]()
+    arrows, labels = list[_Arrow](), list[tuple[np.ndarray, str]]()
+    told_of = set[int]()
     length = 1.2 * scene.usual
     for p in group.placements:
         low, high = scene.low[p.block], scene.high[p.block]
@@ -258,7 +264,7 @@ def _card(common: _Common, group: Group, standing: set[int]) -> Card:
 
 def _words(told: Instructions, group: Group, layers: int, until: dict[int, int]) -> tuple[str, ...]:
     main = group.main
-    words = []
+    words = list[str]()
     if group.first:
         words.append(
             f"Layer {group.layer} of {layers}, from {length_words(group.level)} mm up. Block "
@@ -293,9 +299,7 @@ def _rows(group: Group) -> list[tuple[str, ...]]:
     return [(", ".join(of), *told[block][1:]) for block, of in numbers.items()]
 
 
-def _hands(
-    scene: DrawnScene, placement: Placement, length: float
-) -> list[tuple[np.ndarray, np.ndarray]]:
+def _hands(scene: DrawnScene, placement: Placement, length: float) -> list[_Arrow]:
     """Arrows towards a block that is held from both sides, away from one that is let go."""
     ends = [scene.figures[d.name].frame + d.at for d in scene.parts_of({placement.block})]
     low, high = np.min(ends, (0, 1)), np.max(ends, (0, 1))
@@ -325,8 +329,8 @@ def _framed(
     grid: Grid,
     extent: np.ndarray | None,
     outlines: tuple[Use, ...] = (),
-    arrows: tuple = (),
-    labels: tuple = (),
+    arrows: tuple[_Arrow, ...] = (),
+    labels: tuple[tuple[np.ndarray, str], ...] = (),
     place: tuple[float, float, float, float] | None = None,
 ) -> Picture:
     """A picture with its frame; of a whole structure the same on every card."""
@@ -346,12 +350,12 @@ def _framed(
 
 def _shape_pictures(told: Instructions, scene: DrawnScene) -> list[tuple[BlockShape, Picture]]:
     """Every shape as it is when it is not turned, with the numbers of corners where it leans."""
-    found = []
+    found = list[tuple[BlockShape, Picture]]()
     for shape in (line.shape for line in told.bill):
         block = Block(shape.letter, shape.corners, shape.faces)
         alone = DrawnScene(instructions(Assembly((block,), joint=told.assembly.joint)))
         uses = tuple(Use(_adopt(scene, d.figure), d.at, shape.colour) for d in alone.drawn)
-        labels = ()
+        labels: tuple[tuple[np.ndarray, str], ...] = ()
         if not shape.is_box and len(shape.corners) <= 12:
             corners = shape.corners - shape.corners.min(0)
             labels = tuple((project(c), str(k)) for k, c in enumerate(corners, 1))
@@ -377,8 +381,10 @@ def _grid(
 ) -> Grid:
     """Lines every ``step`` on a level, with distances at the front and left; of a height [m] also
     a scale of heights at the back left."""
-    xs = np.arange(np.floor(low[0] / step + 1e-6), np.ceil(high[0] / step - 1e-6) + 1) * step
-    ys = np.arange(np.floor(low[1] / step + 1e-6), np.ceil(high[1] / step - 1e-6) + 1) * step
+    xs, ys = (
+        np.arange(math.floor(low[k] / step + 1e-6), math.ceil(high[k] / step - 1e-6) + 1) * step
+        for k in range(2)
+    )
     ends = [(x, ys[0], x, ys[-1]) for x in xs] + [(xs[0], y, xs[-1], y) for y in ys]
     lines = [project(np.array([(a, b, level), (c, d, level)])) for a, b, c, d in ends]
     every_x, every_y = -(-(len(xs) - 1) // 5) or 1, -(-(len(ys) - 1) // 3) or 1
@@ -395,7 +401,7 @@ def _grid(
         labels = [one for one in labels if one[1] != "0"]
         labels.append((project(np.array([xs[0], ys[0], level])), "O", "below"))
     if height:
-        top = np.arange(0, np.ceil(height / step - 1e-6) + 1) * step
+        top = np.arange(0, math.ceil(height / step - 1e-6) + 1) * step
         corner = (xs[0], ys[-1])
         lines.append(project(np.array([(*corner, 0), (*corner, top[-1])])))
         every = -(-len(top) // 5)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull  # pyright: ignore[reportMissingTypeStubs]
 
 from learn2assemble.assembly.blocks import Block
 from learn2assemble.assembly.bricks.knobs import HEIGHT, RADIUS, knobs_on
@@ -69,11 +70,11 @@ class DrawnScene:
         """Size of a usual block [m], by which drawings choose grid and lines."""
         stud, known = assembly.joint.pitch[0], dict[bytes, int]()
         self.figures: list[Figure] = []
-        shapes: dict[tuple, list[tuple[_ConvexPart, int]]] = {}
+        shapes: dict[tuple[object, bytes], list[tuple[_ConvexPart, int]]] = {}
         parts: list[tuple[int, _ConvexPart, int]] = []
         for index, block in enumerate(assembly.blocks):
             relative = block.vertices - block.vertices.min(0)
-            key = (block.faces, np.round(relative / 1e-6).tobytes())
+            key = (block.faces, (relative / 1e-6).round().tobytes())
             if key not in shapes:
                 shapes[key] = []
                 for part in convex_parts(block):
@@ -105,7 +106,7 @@ class DrawnScene:
 
     def standing(self) -> list[set[int]]:
         """What stands before every group."""
-        here, found = {p.block for p in self.told.start}, []
+        here, found = {p.block for p in self.told.start}, list[set[int]]()
         for group in self.told.groups:
             found.append(set(here))
             for placement in group.placements:
@@ -152,7 +153,7 @@ def _figure(block: Block, part: Block, knobs: np.ndarray, stud: float) -> Figure
         stud: distance of studs [m].
     """
     corner = block.vertices.min(0)
-    faces = []
+    faces = list[tuple[np.ndarray, float]]()
     for face in part.faces:
         corners = part.vertices[list(face)]
         normal = _normal(corners)
@@ -164,7 +165,7 @@ def _figure(block: Block, part: Block, knobs: np.ndarray, stud: float) -> Figure
         normal = _normal(block.vertices[list(face)])
         for a, b in zip(face, (*face[1:], face[0]), strict=True):
             owners.setdefault((min(a, b), max(a, b)), []).append(normal)
-    edges = []
+    edges = list[np.ndarray]()
     low, high = part.vertices.min(0) - 1e-7, part.vertices.max(0) + 1e-7
     for (a, b), normals in owners.items():
         level = all(n @ normals[0] > 1 - 1e-9 for n in normals)
@@ -174,7 +175,7 @@ def _figure(block: Block, part: Block, knobs: np.ndarray, stud: float) -> Figure
         middle = ends.mean(0)
         if part is block or bool(((middle >= low) & (middle <= high)).all()):
             edges.append(project(ends - corner))
-    points, rims = [project(part.vertices - corner)], []
+    points, rims = [project(part.vertices - corner)], list[np.ndarray]()
     around = 2 * np.pi * np.arange(_ROUND) / _ROUND
     circle = RADIUS * stud * np.stack([np.cos(around), np.sin(around), 0 * around], -1)
     for at in knobs[np.argsort(knobs @ TOWARDS)]:
@@ -196,10 +197,11 @@ def _far_first(parts: list[_ConvexPart]) -> list[int]:
     low = np.array([p.vertices.min(0) for p in parts])
     high = np.array([p.vertices.max(0) for p in parts])
     flat = [project(p.vertices) for p in parts]
-    boxes = shapely.box(*np.array([[*f.min(0), *f.max(0)] for f in flat]).T)
+    ends = np.array([[*f.min(0), *f.max(0)] for f in flat]).T
+    boxes = cast("Any", shapely).box(*ends)
     first, second = shapely.STRtree(boxes).query(boxes)
     pair = first < second
-    first, second = first[pair], second[pair]
+    first, second = cast("np.ndarray", first[pair]), cast("np.ndarray", second[pair])
     square = np.array([_is_square(part.vertices) for part in parts])
     # +1: the first is in front, -1: the second is.
     front = np.zeros(len(first), int)
@@ -210,7 +212,8 @@ def _far_first(parts: list[_ConvexPart]) -> list[int]:
         front[(front == 0) & above] = side
         front[(front == 0) & below] = -side
     for k in np.flatnonzero((front == 0) & ~(square[first] & square[second])).tolist():
-        front[k] = _in_front(parts[first[k]], parts[second[k]])
+        one, other = int(first[k]), int(second[k])
+        front[k] = _in_front(parts[one], parts[other])
     depth = np.array([p.vertices.mean(0) @ TOWARDS for p in parts])
     undecided = front == 0
     front[undecided] = np.where(depth[first] > depth[second], 1, -1)[undecided]
@@ -245,7 +248,7 @@ def _sorted(count: int, far: np.ndarray, near: np.ndarray, depth: np.ndarray) ->
     ready = [(float(depth[k]), k) for k in np.flatnonzero(waiting == 0).tolist()]
     heapq.heapify(ready)
     rest = iter(np.argsort(depth, kind="stable").tolist())
-    done, found = np.zeros(count, bool), []
+    done, found = np.zeros(count, bool), list[int]()
     while len(found) < count:
         # Where blocks cover one another in a ring, the farthest of all begins.
         k = heapq.heappop(ready)[1] if ready else next(rest)

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -96,7 +96,11 @@ def header(program: Program, arm: Arm) -> dict[str, Any]:
 
 def to_json(value: Any) -> str:
     """JSON, with arrays rounded to 1e-9."""
-    return json.dumps(value, default=lambda array: (np.round(array, 9) + 0.0).tolist())
+
+    def rounded(array: np.ndarray) -> Any:
+        return (np.round(array, 9) + 0.0).tolist()
+
+    return json.dumps(value, default=rounded)
 
 
 class Header(NamedTuple):
@@ -184,15 +188,17 @@ def _check_limits(given: Any, joints: int, source: str) -> None:
     Raises:
         InputError: naming the one that is wrong.
     """
+    table: Any = given
+    limits = cast("dict[str, Any]", table) if isinstance(table, dict) else dict[str, Any]()
     for key in Limits._fields:
-        if not isinstance(given, dict) or key not in given:
-            got = sorted(given) if isinstance(given, dict) else given
+        if key not in limits:
+            got = sorted(limits) if isinstance(table, dict) else given
             raise InputError(f"{source}: limits", got, f"{', '.join(Limits._fields)} per joint")
-        found = _array(given[key], joints)
+        found = _array(limits[key], joints)
         if key not in ("lower", "upper") and found.min() <= 0:
-            raise InputError(f"{source}: limits.{key}", given[key], "numbers above 0")
-    if (_array(given["lower"], joints) >= _array(given["upper"], joints)).any():
-        raise InputError(f"{source}: limits.lower", given["lower"], "less than limits.upper")
+            raise InputError(f"{source}: limits.{key}", limits[key], "numbers above 0")
+    if (_array(limits["lower"], joints) >= _array(limits["upper"], joints)).any():
+        raise InputError(f"{source}: limits.lower", limits["lower"], "less than limits.upper")
 
 
 def _array(value: Any, *shape: int) -> np.ndarray:
@@ -256,7 +262,8 @@ def write_table(program: Program, arm: Arm, path: Path, more: dict[str, Any] | N
                     tool[program.states_at(time)],
                 ]
             )
-            names = [STAGES[k] if k >= 0 else "" for k in program.stage[piece].tolist()]
+            stages: list[int] = program.stage[piece].tolist()
+            names = [STAGES[k] if k >= 0 else "" for k in stages]
             rows = zip((numbers + 0.0).tolist(), names, strict=True)
             file.write("".join(pattern % tuple(row) % name for row, name in rows).encode())
     write_file(path, out.getvalue(), "program")
@@ -349,7 +356,7 @@ def read_table(path: Path, name: str) -> tuple[Program, Arm]:
 
 def _split(content: bytes, source: str) -> tuple[dict[str, Any], list[str], int]:
     """Header, names of the columns, and how many lines these take."""
-    head, count = {}, 0
+    head, count = dict[str, Any](), 0
     for count, raw in enumerate(io.BytesIO(content), 1):
         try:
             line = raw.decode().strip()
@@ -399,7 +406,7 @@ def _states(rows: np.ndarray, fields: list[str]) -> tuple[ToolState, ...]:
     told = np.column_stack([rows[name] for name in fields])
     new = np.flatnonzero(np.any(np.diff(told, axis=0, prepend=np.nan), axis=1))
     nothing = ToolState(0.0, 0.0, 0.0, 0.0, False, 0.0)
-    found = []
+    found = list[ToolState]()
     for k in new.tolist():
         state = nothing._replace(
             time=float(rows["time"][k]), **dict(zip(fields, told[k].tolist(), strict=True))
@@ -417,7 +424,8 @@ def write_franka(program: Program, arm: Arm, path: Path) -> None:
     """
     if arm.name != "panda":
         raise InputError("format", f"franka for {arm.name}", "the arm panda, or the format csv")
-    driver, calls, (first, *later) = driver_of(arm), [], changes(program)
+    driver, calls = driver_of(arm), list[dict[str, Any]]()
+    first, *later = changes(program)
     if not program.suction:
         width, speed = first[0].width, first[0].speed
         calls.append({"time": 0.0, "call": "move", "width": width, "speed": speed})

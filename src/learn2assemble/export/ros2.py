@@ -116,7 +116,8 @@ def _head_messages(program: Program, arm: Arm) -> Iterator[Message]:
     pairs = np.column_stack([program.step, program.stage])
     cells = {step.number: step.cells[0] for step in program.steps}
     for k in np.flatnonzero(np.any(np.diff(pairs, axis=0, prepend=-1), axis=1)).tolist():
-        number, stage = pairs[k].tolist()
+        told: list[int] = pairs[k].tolist()
+        number, stage = told
         words = f"step {number}, block {cells.get(number, -1)}: "
         words += STAGES[stage] if stage >= 0 else "rest"
         yield _ns(program.knots.time[k]), "/stage", {"data": words}
@@ -171,7 +172,7 @@ def _scene_messages(program: Program, arm: Arm) -> Iterator[Message]:
         _transform(0, "tcp", driver.flange_frame, flange),
     ]
     yield 0, "/tf_static", {"transforms": fixed}
-    markers = []
+    markers = list[dict[str, Any]]()
     for number, cells in enumerate(blocks.objects):
         colour = colorsys.hsv_to_rgb(number * 0.381966 % 1, 0.55, 0.85)
         for cell in cells:
@@ -181,10 +182,10 @@ def _scene_messages(program: Program, arm: Arm) -> Iterator[Message]:
     time = _grid(program)
     joints = np.ascontiguousarray(program.knots.at(time)[0])
     tools = zip(*forward_many(get_chain(arm), joints), strict=True)
-    poses, now, held = blocks.start, 0, {}
+    poses, now, held = blocks.start, 0, dict[int, np.ndarray]()
     for t, (position, rotation) in zip(time.tolist(), tools, strict=True):
         tool = np.concatenate([position, matrix_quaternion(rotation)])
-        changed = set() if t else set(range(len(poses)))
+        changed = set[int]() if t else set(range(len(poses)))
         while now < len(program.steps) and t >= program.steps[now].end - 1e-9:
             after = program.steps[now].after
             after = poses if after is None else after
@@ -329,7 +330,7 @@ def _knots_from(
     messages: list[tuple[float, Any]], seconds: float, arm: Arm, source: str
 ) -> tuple[Knots, np.ndarray]:
     """All motions in a row, with rest between them, within the limits of the arm."""
-    rows, motion = [], []
+    rows, motion = list[list[float]](), list[int]()
     for number, (_, message) in enumerate(messages, 1):
         if tuple(message.joint_names) != driver_of(arm).joints:
             raise InputError(f"{source}: joints", list(message.joint_names), arm.name)

@@ -122,21 +122,21 @@ def planned_frame(arm: Arm) -> np.ndarray:
     plan: x, y, z [m] and a rotation vector [rad]."""
     base = driver_of(arm).base
     turn = quaternion_matrix(base[3:]).T
-    from scipy.spatial.transform import Rotation
+    from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs]
 
     return np.concatenate([-turn @ base[:3], Rotation.from_matrix(turn).as_rotvec()])
 
 
 def _pose(pose: np.ndarray) -> np.ndarray:
     """x, y, z and a rotation vector float64[6], of a position and a quaternion float64[7]."""
-    from scipy.spatial.transform import Rotation
+    from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs]
 
     turn = Rotation.from_quat(pose[3:], scalar_first=True).as_rotvec()
     return np.concatenate([pose[:3], turn])
 
 
 def _check_taught(taught: np.ndarray, planned: np.ndarray) -> None:
-    from scipy.spatial.transform import Rotation
+    from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs]
 
     turn = Rotation.from_rotvec(taught[3:]) * Rotation.from_rotvec(planned[3:]).inv()
     if norm(taught[:3] - planned[:3]) > MOST_SHIFT or turn.magnitude() > MOST_TURN:

@@ -69,7 +69,7 @@ def tool_path(
         further = math.ceil((attitude.way - RISE[-1]) / (2 * LEVEL))
         rise = np.r_[rise, np.linspace(RISE[-1], attitude.way, further + 1)[1:]]
     near = contact - np.outer(rise, approach)
-    top = max(height - near[-1, 2], 0.0)
+    top: float = max(height - near[-1, 2], 0.0)
     steps = np.linspace(0.0, top, 1 + math.ceil(top / (2 * LEVEL) - 1e-9))[1:]
     up = near[-1] + np.outer(steps, [0.0, 0.0, 1.0])
     return ToolPath(np.vstack([near, up]), rotation, approach)

@@ -65,7 +65,7 @@ def capsules_of(arm: Arm) -> Capsules:
     joint_frames(chain, start, *frames)
     moved_by = {int(model.joint(name).bodyid[0]): k for k, name in enumerate(arm.joints, 1)}
     slides = [model.joint(name).id for name in arm.gripper.joints]
-    links, ends, radii = [], [], []
+    links, ends, radii = list[int](), list[np.ndarray](), list[float]()
     for geom in np.flatnonzero(model.geom_contype | model.geom_conaffinity).tolist():
         lines, radius = _around(model, geom)
         place, turn = data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3)
@@ -111,7 +111,8 @@ def _box(middle: np.ndarray, half: np.ndarray, widest: float = WIDEST) -> tuple[
     radius = float(np.hypot(*(half[across] / counts)))
     short = min(SHORTER * radius, half[long])
     lines = np.zeros((*counts, 2, 3))
-    for k, (axis, count) in enumerate(zip(across, counts.tolist(), strict=True)):
+    numbers: list[int] = counts.tolist()
+    for k, (axis, count) in enumerate(zip(across, numbers, strict=True)):
         middles = ((2 * np.arange(count) + 1) / count - 1) * half[axis]
         lines[..., axis] = middles.reshape((count, 1, 1) if k == 0 else (count, 1))
     lines[..., long] = (half[long] - short) * np.array([-1.0, 1.0])
@@ -129,7 +130,7 @@ def solid_capsules(
         turn: float64[3, 3], its rotation.
         widest: half a box that has one capsule [m].
     """
-    ends, radii = [], []
+    ends, radii = list[np.ndarray](), list[float]()
     for part in parts:
         low, high = part.points.min(0), part.points.max(0)
         lines, radius = _box((low + high) / 2, (high - low) / 2, widest)

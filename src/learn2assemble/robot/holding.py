@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
@@ -134,7 +134,7 @@ def _on_faces(cup: Cup, shape: Shape, up: np.ndarray) -> Iterator[Hold]:
             if room.is_empty:
                 continue
             middle = shapely.Point(axes @ (body.centre - foot))
-            at = shapely.get_coordinates(shapely.shortest_line(room, middle))[0]
+            at = _nearest(room, middle)
             off = math.dist(at, (middle.x, middle.y))
             point = foot + at @ axes
             across = np.cross(-normal, _along(normal))
@@ -164,6 +164,15 @@ def _above(axes: np.ndarray, foot: np.ndarray, up: np.ndarray, height: float) ->
 
 
 @lru_cache(maxsize=4096)
+def _nearest(room: Any, middle: Any) -> np.ndarray:
+    """float64[2]: the point of a shapely area that is nearest to a shapely point."""
+    import shapely
+
+    library = cast("Any", shapely)  # Its stubs have arguments without a type.
+    line: Any = library.shortest_line(room, middle)
+    return shapely.get_coordinates(line)[0]
+
+
 def free_face(shape: Shape, part: int, face: int) -> Any:
     """The part of a face that no other part of the block covers, as a shapely area; coordinates
     are along two axes in the face from its first corner [m]."""
@@ -249,7 +258,7 @@ def _between_faces(
         flat = axes @ axis
         aside = np.array([-flat[1], flat[0]])
         room = area.buffer(-PAD) if area.buffer(-PAD).area > 0 else area
-        best = shapely.get_coordinates(shapely.shortest_line(room, shapely.Point(middle)))[0]
+        best = _nearest(room, shapely.Point(middle))
         reach = shapely.get_coordinates(room) @ aside - float(best @ aside)
         shifts = (share * float(reach.max() if share > 0 else -reach.min()) for share in ALONG)
         for shift in dict.fromkeys(round(one, 6) for one in shifts):

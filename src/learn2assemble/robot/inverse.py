@@ -133,7 +133,20 @@ def damped_least_squares(
 
 
 @kernel
-def _bounded_step(jac, error, rows, damping, pull, q, lower, upper, free, gram, rest, step):
+def _bounded_step(
+    jac: np.ndarray,
+    error: np.ndarray,
+    rows: int,
+    damping: float,
+    pull: np.ndarray,
+    q: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    free: np.ndarray,
+    gram: np.ndarray,
+    rest: np.ndarray,
+    step: np.ndarray,
+) -> bool:
     """Fills ``step``: the formula above over the joints that do not run into a limit."""
     n = q.shape[0]
     for _ in range(n):
@@ -225,8 +238,18 @@ def ik_seeds(arm: Arm, branch: str | None = None) -> Seeds:
 
 @kernel
 def _solve(
-    chain, lower, upper, posture, table, position, rotation, rows, max_iterations, restarts, q
-):
+    chain: Chain,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    posture: np.ndarray,
+    table: Seeds,
+    position: np.ndarray,
+    rotation: np.ndarray,
+    rows: int,
+    max_iterations: int,
+    restarts: int,
+    q: np.ndarray,
+) -> tuple[int, float, int]:
     """Leaves the solution in q, which holds the start."""
     n = q.shape[0]
     start = q.copy()
@@ -319,7 +342,7 @@ def _solve(
 
 
 @kernel
-def _reach(chain):
+def _reach(chain: Chain) -> float:
     """An upper bound of how far the tool can be from the first joint [m]."""
     total = _length(chain.tool_offset)
     for k in range(1, chain.offset.shape[0]):
@@ -328,12 +351,12 @@ def _reach(chain):
 
 
 @kernel
-def _length(vector):
+def _length(vector: np.ndarray) -> float:
     return np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
 
 
 @kernel
-def _copy(source, target):
+def _copy(source: np.ndarray, target: np.ndarray) -> None:
     # Slices would say the same, but take seconds to compile.
     for k in range(source.shape[0]):
         target[k] = source[k]
@@ -362,13 +385,13 @@ def seed_distances(
 
 
 @kernel
-def _clip(q, lower, upper):
+def _clip(q: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> None:
     for k in range(q.shape[0]):
         q[k] = min(max(q[k], lower[k]), upper[k])
 
 
 @kernel
-def _unwind(q, start, lower, upper):
+def _unwind(q: np.ndarray, start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> None:
     """Takes off whole turns of joints where that brings them nearer to the start, or inside."""
     turn = 2 * np.pi
     for k in range(q.shape[0]):
@@ -382,7 +405,7 @@ def _unwind(q, start, lower, upper):
 
 
 @kernel
-def _inside(q, lower, upper):
+def _inside(q: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
     for k in range(q.shape[0]):  # noqa: SIM110 (compiled)
         if q[k] < lower[k] or q[k] > upper[k]:
             return False

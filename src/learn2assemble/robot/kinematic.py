@@ -209,15 +209,14 @@ class BlockChecker(CollisionChecker):
             turn: float64[c, 3, 3]: their rotations in the tool frame.
         """
         m, count = self.model, len(cells)
+        numbers: list[int] = cells.tolist()
         m.body_pos[self._carried] = _FAR
         m.body_pos[self._carried[:count]] = self._in_hand(position)
         for body, rotation in zip(self._carried, self._tool_rotation @ turn, strict=False):
             mujoco.mju_mat2Quat(m.body_quat[body], rotation.ravel())
         hulls = [
             None if hull is None else self._smaller[hull]
-            for hull in (
-                [None] * count if scene.hull is None else [scene.hull[k] for k in cells.tolist()]
-            )
+            for hull in ([None] * count if scene.hull is None else [scene.hull[k] for k in numbers])
         ]
         reshape(m, self._carried_boxes[:count], scene.halves[cells] - SHRINK, hulls)
 

@@ -70,7 +70,8 @@ def fill_gram(
 def smallest_singular_value(jacobian: np.ndarray, rows: int) -> float:
     """Of the first ``rows`` rows, by inverse iteration on J J^T; 0 where that is singular."""
     gram = np.empty((6, 6))
-    fill_gram(jacobian, rows, np.ones(jacobian.shape[1], np.bool_), 0.0, gram)
+    columns: int = jacobian.shape[1]
+    fill_gram(jacobian, rows, np.ones(columns, np.bool_), 0.0, gram)
     if not factorise(gram, rows):
         return 0.0
     vector, size = np.empty(6), 1.0
@@ -113,7 +114,7 @@ def get_chain(arm: Arm) -> Chain:
     mujoco.mj_forward(model, data)
     ids = [model.joint(name).id for name in arm.joints]
     bodies = model.jnt_bodyid[ids]
-    path, body = [], int(model.site_bodyid[model.site(arm.tool).id])
+    path, body = list[int](), int(model.site_bodyid[model.site(arm.tool).id])
     while body:
         path.append(body)
         body = int(model.body_parentid[body])
@@ -151,7 +152,15 @@ def _frame_with_z(axis: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _step(chain, k, angle, position, rotation, new_position, new_rotation):
+def _step(
+    chain: Chain,
+    k: int,
+    angle: float,
+    position: np.ndarray,
+    rotation: np.ndarray,
+    new_position: np.ndarray,
+    new_rotation: np.ndarray,
+) -> None:
     """Joint frame k from the one before, whose arrays it may replace, turned by ``angle``."""
     c, s = np.cos(angle), np.sin(angle)
     for i in range(3):
@@ -172,7 +181,14 @@ def _step(chain, k, angle, position, rotation, new_position, new_rotation):
 
 
 @kernel
-def _place(position, rotation, offset, turn, new_position, new_rotation):
+def _place(
+    position: np.ndarray,
+    rotation: np.ndarray,
+    offset: np.ndarray,
+    turn: np.ndarray,
+    new_position: np.ndarray,
+    new_rotation: np.ndarray,
+) -> None:
     for i in range(3):
         new_position[i] = position[i]
         for j in range(3):

@@ -152,7 +152,8 @@ class Scene(NamedTuple):
             None if a is None else a[cells]
             for a in (self.half, self.density, self.quaternion, self.aside)
         )
-        hull = None if self.hull is None else tuple(self.hull[k] for k in cells.tolist())
+        kept: list[int] = cells.tolist()
+        hull = None if self.hull is None else tuple(self.hull[k] for k in kept)
         return Scene(
             self.position[cells],
             self.yaw[cells],
@@ -369,7 +370,7 @@ def overload(arm: Arm, scene: Scene, move: Move) -> str | None:
     point = grasp.tool_point(centre) + tool @ np.array(grasp.lip.at)
     turn, weight = tool @ used.lip.frame(), np.array([0.0, 0.0, -GRAVITY])
     lever = turn.T @ (mass @ (_middles(scene, members) - point))
-    loads = []
+    loads = list[tuple[float, float]]()
     for there in (turn, move.place.rotation() @ used.lip.frame()):
         pull = there.T @ weight
         loads.append(used.load(mass.sum() * pull, np.cross(lever, pull)))

@@ -68,7 +68,7 @@ def shaded(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
         if shift:
             total[j] += area[face[i]]
     total /= np.linalg.norm(total, axis=1)[:, None]
-    key = np.column_stack([corner, np.round(total * 1000).astype(np.int64)])
+    key = np.column_stack([corner, (total * 1000).round().astype(np.int64)])
     _, first, which = np.unique(key, axis=0, return_index=True, return_inverse=True)
     found = np.empty(len(corner), np.int32)
     found[order] = which.reshape(-1)
@@ -101,9 +101,13 @@ def capsule(radius: float, half: float, rounded: bool = True) -> Mesh:
     from trimesh import creation
 
     if rounded:
-        made = creation.capsule(2 * half, radius, count=[_AROUND, _AROUND])
+        made = creation.capsule(  # pyright: ignore[reportUnknownMemberType]
+            2 * half, radius, count=[_AROUND, _AROUND]
+        )
     else:
-        made = creation.cylinder(radius, 2 * half, sections=_AROUND)
+        made = creation.cylinder(  # pyright: ignore[reportUnknownMemberType]
+            radius, 2 * half, sections=_AROUND
+        )
     return shaded(made.vertices, made.faces)
 
 
@@ -173,14 +177,14 @@ def arm_shape(arm: Arm) -> ArmShape:
     shape = ArmShape(arm.name, get_chain(arm), (), ())
     position, rotation = shape.frames(np.zeros(len(arm.joints)), 0.0)
     frame_of = {model.joint(name).bodyid[0]: k for k, name in enumerate(arm.joints)}
-    fingers = []
+    fingers = list[Finger]()
     for name in arm.gripper.fingers:
         body = model.body(name).id
         frame_of[body] = len(arm.joints) + len(fingers)
         fingers.append(_finger(arm, model, data, body, position[-1], rotation[-1]))
     shape = shape._replace(fingers=tuple(fingers))
     position, rotation = shape.frames(np.zeros(len(arm.joints)), 0.0)
-    parts = []
+    parts = list[LinkPart]()
     for geom in _drawn(model):
         body = int(model.geom_bodyid[geom])
         while body and body not in frame_of:
@@ -241,5 +245,5 @@ def _mesh(model: mujoco.MjModel, geom: int) -> Mesh:
 def _colour(model: mujoco.MjModel, geom: int) -> tuple[float, float, float]:
     material = int(model.geom_matid[geom])
     rgba = model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
-    red, green, blue = np.round(rgba[:3], 3).tolist()
+    red, green, blue = rgba[:3].round(3).tolist()
     return red, green, blue

@@ -3,7 +3,7 @@ whatever each is doing of its way when: no clock has to agree."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -66,9 +66,10 @@ def sweep(arm: Arm, capsules: Capsules, joints: np.ndarray) -> Sweep:
         lines = placed(chain, capsules, joints[:1].copy())
         return Sweep(lines, capsules.radius, np.zeros(lines.shape[:2]))
     # Corners of the way are postures, too.
-    even = np.linspace(0.0, far[-1], int(np.ceil(far[-1] / LENGTH)) + 1)
+    even = np.linspace(0.0, float(far[-1]), int(np.ceil(far[-1] / LENGTH)) + 1)
     at, kept = np.union1d(even, far), np.r_[True, steps > 0]
-    between = np.column_stack([np.interp(at, far[kept], q[kept]) for q in joints.T])
+    turns = [cast("np.ndarray", np.interp(at, far[kept], q[kept])) for q in joints.T]
+    between = np.column_stack(turns)
     lines = placed(chain, capsules, between)
     # An end of a line moves on an arc of no more acceleration than its reach times the square of
     # the sum of the angles, so it is longer than its chord by less than a quarter of that; all
@@ -91,7 +92,15 @@ def clear(one: Sweep, other: Sweep, margin: float) -> bool:
 
 
 @kernel
-def _near(lines, radius, far, others, other_radius, other_far, margin):
+def _near(
+    lines: np.ndarray,
+    radius: np.ndarray,
+    far: np.ndarray,
+    others: np.ndarray,
+    other_radius: np.ndarray,
+    other_far: np.ndarray,
+    margin: float,
+) -> int:
     """Whether capsules come nearer than ``margin`` for certain (2), perhaps (1) or not at all (0),
     where they move by as much as ``far`` and ``other_far``, float64[c] and float64[d] [m]."""
     found = 0
@@ -123,7 +132,15 @@ def _near(lines, radius, far, others, other_radius, other_far, margin):
 
 
 @kernel
-def _clear(lines, radius, way, others, other_radius, other_way, margin):
+def _clear(
+    lines: np.ndarray,
+    radius: np.ndarray,
+    way: np.ndarray,
+    others: np.ndarray,
+    other_radius: np.ndarray,
+    other_way: np.ndarray,
+    margin: float,
+) -> bool:
     """Halves both ways until the distances at two postures say that their surroundings are free, or
     neighbours are left whose distances do not."""
     stack = [(0, lines.shape[0] - 1, 0, others.shape[0] - 1)]

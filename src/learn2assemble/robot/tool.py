@@ -21,7 +21,7 @@ import math
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import mujoco
 import numpy as np
@@ -157,18 +157,15 @@ def load_suction(path: Path) -> Suction | None:
     kind = value(data, "kind", where)
     if look_up(f"{where}, kind", kind, {"own": 0, "suction": 1}) == 0:
         return None
-    cup, parts = table(data, "cup", where), value(data, "parts", where)
-    if not isinstance(parts, list) or not all(isinstance(part, dict) for part in parts):
-        raise InputError(f"{where}, parts", parts, "tables [[parts]]")
+    cup = table(data, "cup", where)
+    parts = _tables(value(data, "parts", where), "parts", where)
 
     grip_time, release_time = numbers(data, "speed", 2, where).tolist()
     if not (0 <= grip_time <= 5 and 0 <= release_time <= 5):
         raise InputError(f"{where}, speed", [grip_time, release_time], "times from 0 to 5 s")
     length = _positive(data, "length", 0.6, where)
     first = _cup(cup, FIRST, where)
-    sides = data.get("sides", [])
-    if not isinstance(sides, list) or not all(isinstance(side, dict) for side in sides):
-        raise InputError(f"{where}, sides", sides, "tables [[sides]]")
+    sides = _tables(data.get("sides", []), "sides", where)
     others = [_side(side, length, f"{where}, sides[{k}]") for k, side in enumerate(sides)]
     return Suction(
         cups=(first, *others),
@@ -204,12 +201,13 @@ def _cup(data: dict[str, Any], lip: Lip, where: str) -> Cup:
 
 def _side(data: dict[str, Any], length: float, where: str) -> Cup:
     """A further cup; its place is given from the flange."""
-    x, y, z = numbers(data, "at", 3, where).tolist()
+    at: list[float] = numbers(data, "at", 3, where).tolist()
+    x, y, z = at
     axis = numbers(data, "axis", 3, where)
     size = float(np.linalg.norm(axis))
-    if not (size > 1e-6 and max(map(abs, (x, y, z))) <= FARTHEST_PART):
+    if not (size > 1e-6 and max(map(abs, at)) <= FARTHEST_PART):
         expected = f"a direction, and a place within {FARTHEST_PART:g} m"
-        raise InputError(where, [x, y, z, *axis.tolist()], expected)
+        raise InputError(where, [*at, *axis.tolist()], expected)
     a, b, c = (axis / size).tolist()
     return _cup(data, Lip((x, y, round(z - length, 9)), (a, b, c)), where)
 
@@ -307,10 +305,20 @@ def value(data: dict[str, Any], key: str, where: str) -> Any:
 
 def table(data: dict[str, Any], key: str, where: str) -> dict[str, Any]:
     """The table ``[key]``, which must be there."""
-    found = value(data, key, where)
+    found: Any = value(data, key, where)
     if not isinstance(found, dict):
         raise InputError(f"{where}, {key}", found, f"a table [{key}]")
-    return found
+    return cast("dict[str, Any]", found)
+
+
+def _tables(found: Any, key: str, where: str) -> list[dict[str, Any]]:
+    """The tables ``[[key]]``."""
+    tables: Any = found
+    if isinstance(tables, list):
+        tables = cast("list[Any]", tables)
+        if all(isinstance(one, dict) for one in tables):
+            return tables
+    raise InputError(f"{where}, {key}", found, f"tables [[{key}]]")
 
 
 def numbers(data: dict[str, Any], key: str, count: int, where: str) -> np.ndarray:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -159,7 +159,7 @@ def _farthest(spec: mujoco.MjSpec) -> Any:
 
 def _chain(spec: mujoco.MjSpec, last: Any, source: str) -> list[Any]:
     """Bodies from the base to the flange."""
-    found, body = [], last
+    found, body = list[Any](), last
     while body.name != "world":
         found.append(body)
         body = body.parent
@@ -216,7 +216,9 @@ def _compiled(spec: mujoco.MjSpec, source: str) -> mujoco.MjModel:
 def _home(model: mujoco.MjModel, names: list[str], source: str) -> np.ndarray:
     """float64[n]: where the tool points down before the base, as far as that goes from the limits
     of the joints [rad]."""
-    from scipy.optimize import least_squares
+    from scipy.optimize import (  # pyright: ignore[reportMissingTypeStubs]
+        least_squares,  # pyright: ignore[reportUnknownVariableType]
+    )
 
     data, rng = mujoco.MjData(model), np.random.default_rng(SEED)
     address = [int(model.joint(name).qposadr[0]) for name in names]
@@ -237,7 +239,7 @@ def _home(model: mujoco.MjModel, names: list[str], source: str) -> np.ndarray:
 
     best: tuple[float, np.ndarray] | None = None
     for _ in range(TRIES):
-        found = least_squares(off, rng.uniform(low, high), bounds=(low, high))
+        found: Any = cast("Any", least_squares)(off, rng.uniform(low, high), bounds=(low, high))
         rest = off(found.x)
         if np.linalg.norm(rest[:3]) > FARTHEST[0] or np.linalg.norm(rest[3:]) > 0.3 * FARTHEST[1]:
             continue

@@ -130,15 +130,15 @@ def calibrated(
     residual = float(np.sqrt(np.mean(errors**2)))
     free = max(len(errors) - count, 1)
     covariance *= max(1.0, float(np.minimum(errors**2, FAR_OFF**2).sum()) / free)
-    told, found = {}, []
+    told, found = dict[str, tuple[bool, ...]](), list[DepthCamera]()
     for n, name in enumerate(["base", *named]):
         block = covariance[6 * n : 6 * n + 6, 6 * n : 6 * n + 6]
         spread = np.sqrt(np.diag(block))
         told[name] = tuple((spread < TOLD * width[:6]).tolist())
         if n and any(told[name]):
             camera = cameras[n - 1]
-            rows_ = tuple(map(tuple, ((block + block.T) / 2).tolist()))
-            found.append(_placed(camera, poses[n], rows_))
+            spreads: list[list[float]] = ((block + block.T) / 2).tolist()
+            found.append(_placed(camera, poses[n], tuple(map(tuple, spreads))))
         elif n:
             found.append(cameras[n - 1])
     own = covariance[:6, :6]
@@ -184,7 +184,7 @@ def _linear(
     """What readings are off at poses of base and cameras, in standard deviations: errors
     float64[m], rows float64[m, 6 n] against small motions, and the reading of each int64[m]."""
     turns = [quaternion_matrix(pose[3:]) for pose in poses]
-    errors, rows, owner = [], [], []
+    errors, rows, owner = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
     for k, one in enumerate(readings):
         if isinstance(one, TagSighting):
             n = named[one.camera] + 1
@@ -192,7 +192,7 @@ def _linear(
             row = np.zeros((len(error), 6 * len(poses)))
             row[:, 6 * n : 6 * n + 6] = part
         else:
-            parts = {}
+            parts = dict[int, np.ndarray]()
             if isinstance(one, Touch):
                 n, local, there = 0, one.tip, one.at
             else:
@@ -221,7 +221,7 @@ def _of_tag(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Errors float64[8] of the corners of a tag and rows float64[8, 6]."""
     corners = one.pose[:3] + (SQUARE * one.size) @ quaternion_matrix(one.pose[3:]).T
-    errors, rows = [], []
+    errors, rows = list[np.ndarray](), list[np.ndarray]()
     for corner, seen in zip(corners, one.tag.corners, strict=True):
         x, y, z = (corner - pose[:3]) @ turn
         z = max(float(z), 1e-3)

@@ -158,7 +158,7 @@ class SeeingPlant(WrappedPlant):
         found = state["expected"].items()
         self.expected = {name: None if p is None else np.array(p) for name, p in found}
         if state["plant"] is not None:
-            self.plant.restore(state["plant"])  # pyright: ignore[reportAttributeAccessIssue]
+            self.plant.restore(state["plant"])  # pyright: ignore[reportAttributeAccessIssue, reportUnknownMemberType]
 
     # ------------------------------------------------------------ looking
 
@@ -198,7 +198,7 @@ class SeeingPlant(WrappedPlant):
                 views = self._without_arm(views, readings)
             for one in find(views, lost, known, hidden):
                 seen[one.block] = one
-        found = []
+        found = list[BlockReading]()
         for name, one in seen.items():
             if one.look == Look.SEEN:
                 self._keep(name, one, readings)

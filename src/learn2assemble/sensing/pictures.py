@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -91,7 +91,14 @@ def _backdrop(
 
 
 @kernel
-def _box(rays, between, origin, half, window, shown):
+def _box(
+    rays: np.ndarray,
+    between: np.ndarray,
+    origin: np.ndarray,
+    half: np.ndarray,
+    window: tuple[int, int, int, int],
+    shown: np.ndarray,
+) -> None:
     """Mark those pixels within a window whose rays meet a box.
 
     Args:
@@ -118,7 +125,7 @@ def _box(rays, between, origin, half, window, shown):
 
 
 @kernel
-def _plane(rays, normal, away, depth):
+def _plane(rays: np.ndarray, normal: np.ndarray, away: float, depth: np.ndarray) -> None:
     """Put an endless plane into a depth picture, where it is nearer."""
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
@@ -129,7 +136,13 @@ def _plane(rays, normal, away, depth):
 
 
 @kernel
-def _read(depth, noise, waves, frames, rng):
+def _read(
+    depth: np.ndarray,
+    noise: tuple[float, ...],
+    waves: np.ndarray,
+    frames: int,
+    rng: np.random.Generator,
+) -> np.ndarray:
     """Pictures of a depth picture as they would be read, and of every pixel the median of those
     that read something.
 
@@ -194,7 +207,9 @@ class SimulatedCamera:
     def __init__(
         self, camera: DepthCamera, error: Sequence[float] | np.ndarray = (0.0,) * 6, seed: int = 0
     ) -> None:
-        from scipy.ndimage import zoom
+        from scipy.ndimage import (  # pyright: ignore[reportMissingTypeStubs]
+            zoom,  # pyright: ignore[reportUnknownVariableType]
+        )
 
         given = np.array(error, float)
         self.camera: DepthCamera = camera.moved(given[:3], rotation(given[3:]))
@@ -267,12 +282,15 @@ class ArmPicture:
 
 def without_arm(views: Sequence[PreparedPicture], arm: Scenery) -> list[PreparedPicture]:
     """Pictures with nothing read where an arm is, or near it."""
-    from scipy.ndimage import minimum_filter
+    from scipy.ndimage import (  # pyright: ignore[reportMissingTypeStubs]
+        minimum_filter,  # pyright: ignore[reportUnknownVariableType]
+    )
 
     found: list[PreparedPicture] = []
     for view in views:
         depth = true_depth([arm], view.device)
-        near = minimum_filter(np.where(depth > 0, depth, np.inf), 2 * BESIDE_ARM + 1)
+        shallow = np.where(depth > 0, depth, np.inf)
+        near = cast("np.ndarray", minimum_filter(shallow, 2 * BESIDE_ARM + 1))
         shown = np.isfinite(near) & (np.abs(view.depth - near) < NEAR_ARM)
         found.append(view._replace(depth=np.where(shown, 0.0, view.depth)))
     return found

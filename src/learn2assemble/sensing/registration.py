@@ -16,14 +16,13 @@ import numpy as np
 
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, stepped_pose
 from learn2assemble.robot.bodies import Shape
+from learn2assemble.sensing.faceted import Faceted, faceted
 from learn2assemble.sensing.residuals import (
     BEYOND,
     FEW,
     MANY,
-    Faceted,
     PreparedPicture,
     Sums,
-    faceted,
     normal_equations,
 )
 from learn2assemble.sensing.resting import rested

@@ -10,16 +10,14 @@ within its plane, and an outline that runs on into a neighbour of the same heigh
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.kernels import kernel
-from learn2assemble.robot.bodies import Shape
 from learn2assemble.sensing.camera import DepthCamera, DepthPicture
+from learn2assemble.sensing.faceted import Faceted
 
 BORDER = 0.002
 """Pixels nearer to the border of a face than this may show its neighbour [m]."""
@@ -45,55 +43,16 @@ MANY, FEW = 8000, 500
 every second one of every second row, and so on."""
 
 
-@dataclass(frozen=True)
-class Faceted:
-    """A shape as arrays: its faces, and its edges with the faces that meet there."""
-
-    normals: np.ndarray
-    """float64[F, 3], in the frame of the shape."""
-    offsets: np.ndarray
-    """float64[F] [m]"""
-    starts: np.ndarray
-    """int64[P + 1]: faces of each convex part."""
-    edges: np.ndarray
-    """float64[E, 2, 3]: their ends [m]."""
-    beside: np.ndarray
-    """int64[E, 2]: faces on both sides."""
-    corners: np.ndarray
-    """float64[V, 3] [m]"""
-
-
-@lru_cache(maxsize=1024)
-def faceted(shape: Shape) -> Faceted:
-    """A shape as arrays."""
-    normals, offsets, starts, edges, beside = [], [], [0], [], []
-    for part in shape:
-        solid, centre = part.solid, np.array(part.centre)
-        meets: dict[tuple[int, int], list[int]] = {}
-        for number, face in enumerate(solid.faces):
-            for a, b in zip(face, (*face[1:], face[0]), strict=True):
-                meets.setdefault((min(a, b), max(a, b)), []).append(starts[-1] + number)
-        for (a, b), faces in meets.items():
-            if len(faces) == 2:
-                edges.append(solid.points[[a, b]] + centre)
-                beside.append(faces)
-        normals.append(solid.normals)
-        offsets.append(solid.offsets + solid.normals @ centre)
-        starts.append(starts[-1] + len(solid.faces))
-    return Faceted(
-        np.ascontiguousarray(np.vstack(normals)),
-        np.concatenate(offsets),
-        np.array(starts),
-        np.array(edges).reshape(-1, 2, 3),
-        np.array(beside).reshape(-1, 2),
-        np.vstack([part.points for part in shape]),
-    )
-
-
 # ---------------------------------------------------------------- residuals of one picture
 
 COUNTS = 5
 """Kinds of pixels: on the faces, near the border, before them, behind them, not read."""
+
+
+_Pair = tuple[np.ndarray, np.ndarray]
+_Camera = tuple[np.ndarray, np.ndarray, float, tuple[float, float]]
+_Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+_Sums = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 @kernel
@@ -129,14 +88,14 @@ def ray_meets(
 
 
 @kernel
-def _turned(matrix, vector, out):
+def _turned(matrix: np.ndarray, vector: np.ndarray, out: np.ndarray) -> None:
     """Fill ``out`` with matrix @ vector, both of three."""
     for i in range(3):
         out[i] = matrix[i, 0] * vector[0] + matrix[i, 1] * vector[1] + matrix[i, 2] * vector[2]
 
 
 @kernel
-def _lever(arm, force, out, start):
+def _lever(arm: np.ndarray, force: np.ndarray, out: np.ndarray, start: int) -> None:
     """Fill three of ``out`` with arm x force."""
     out[start] = arm[1] * force[2] - arm[2] * force[1]
     out[start + 1] = arm[2] * force[0] - arm[0] * force[2]
@@ -144,7 +103,9 @@ def _lever(arm, force, out, start):
 
 
 @kernel
-def _add(information, gradient, row, residual, weight):
+def _add(
+    information: np.ndarray, gradient: np.ndarray, row: np.ndarray, residual: float, weight: float
+) -> None:
     for i in range(6):
         scaled = weight * row[i]
         gradient[i] += scaled * residual
@@ -153,14 +114,24 @@ def _add(information, gradient, row, residual, weight):
 
 
 @kernel
-def _robust(residual, sigma):
+def _robust(residual: float, sigma: float) -> float:
     """Weight of a residual: Tukey's, none from five standard deviations."""
     share = residual / (5.0 * sigma)
     return (1.0 - share * share) ** 2 if abs(share) < 1.0 else 0.0
 
 
 @kernel
-def _faces(picture, window, camera, block, shape, noise, gate, waves, sums):
+def _faces(
+    picture: _Pair,
+    window: np.ndarray,
+    camera: _Camera,
+    block: _Pair,
+    shape: _Arrays,
+    noise: tuple[float, float],
+    gate: float,
+    waves: float,
+    sums: _Sums,
+) -> tuple[np.ndarray, np.ndarray, float]:
     """Add what the faces say; see :func:`normal_equations`. Returns, by face, whether it is seen,
     the pixels on it, and the sum of squared residuals in standard deviations."""
     depth, rays = picture
@@ -236,7 +207,16 @@ def _faces(picture, window, camera, block, shape, noise, gate, waves, sums):
 
 
 @kernel
-def _outlines(picture, camera, block, shape, noise, seen_faces, reach, sums):
+def _outlines(
+    picture: _Pair,
+    camera: _Camera,
+    block: _Pair,
+    shape: _Arrays,
+    noise: tuple[float, float],
+    seen_faces: np.ndarray,
+    reach: int,
+    sums: _Sums,
+) -> int:
     """Add what the outlines say; see :func:`normal_equations`. Returns how many places."""
     depth, rays = picture
     information, gradient, _ = sums
@@ -390,7 +370,7 @@ class PreparedPicture(NamedTuple):
 
     depth: np.ndarray
     rays: np.ndarray
-    camera: tuple[np.ndarray, np.ndarray, float, tuple[float, float]]
+    camera: _Camera
     noise: tuple[float, float]
     waves: float
     device: DepthCamera
@@ -402,7 +382,7 @@ def views_of(
     """Pictures with the cameras of their names, for :func:`register`; those of other cameras and of
     another size are left out."""
     named = {camera.name: camera for camera in cameras}
-    found = []
+    found = list[PreparedPicture]()
     for picture in pictures:
         camera = named.get(picture.camera)
         if camera is None or picture.depth.shape != camera.rays.shape[:2]:
@@ -429,7 +409,16 @@ def window_of(view: PreparedPicture, corners: np.ndarray, most: int = 1 << 30) -
 
 
 @kernel
-def _window(corners, place, turn, focal, middle, size, most, window):
+def _window(
+    corners: np.ndarray,
+    place: np.ndarray,
+    turn: np.ndarray,
+    focal: float,
+    middle: tuple[float, float],
+    size: tuple[int, ...],
+    most: int,
+    window: np.ndarray,
+) -> bool:
     """Fill what :func:`window_of` returns; whether there is anything to see."""
     low_u, low_v, high_u, high_v = np.inf, np.inf, -np.inf, -np.inf
     for n in range(len(corners)):
@@ -478,7 +467,7 @@ def normal_equations(
         reach: of outlines [pixels]; 0: without them.
     """
     information, gradient = np.zeros((6, 6)), np.zeros(6)
-    counts, squares, of_faces = np.zeros(COUNTS, np.int64), 0.0, []
+    counts, squares, of_faces = np.zeros(COUNTS, np.int64), 0.0, list[np.ndarray]()
     sums = information, gradient, counts
     block = pose[:3].copy(), np.ascontiguousarray(quaternion_matrix(pose[3:]))
     arrays = shape.normals, shape.offsets, shape.starts, shape.edges, shape.beside

@@ -9,7 +9,7 @@ the patch is long; the pose that explains most of the pixels and contradicts few
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -17,8 +17,9 @@ from learn2assemble.geometry.hulls import resting_turns
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, yaw_matrix
 from learn2assemble.kernels import kernel
 from learn2assemble.robot.bodies import Shape, Solid, body_of, overlaps, solids
+from learn2assemble.sensing.faceted import faceted
 from learn2assemble.sensing.registration import LEAST, Believed, Look, Seen, register
-from learn2assemble.sensing.residuals import PreparedPicture, faceted, ray_meets, window_of
+from learn2assemble.sensing.residuals import PreparedPicture, ray_meets, window_of
 
 ABOVE = 0.008
 """What is higher than this is not the table [m], beyond four standard deviations of a reading."""
@@ -42,7 +43,16 @@ class Patch(NamedTuple):
 
 
 @kernel
-def _explain(depth, rays, window, origin, between, faces, slack, mask):
+def _explain(
+    depth: np.ndarray,
+    rays: np.ndarray,
+    window: np.ndarray,
+    origin: np.ndarray,
+    between: np.ndarray,
+    faces: tuple[np.ndarray, np.ndarray, np.ndarray],
+    slack: float,
+    mask: np.ndarray,
+) -> None:
     """Strike from a mask what a block shows, and what borders on it."""
     normals, offsets, starts = faces
     rows, columns = depth.shape
@@ -72,9 +82,12 @@ def patches(
         views: pictures.
         known: blocks and their poses float64[7].
     """
-    from scipy.ndimage import find_objects, label
+    from scipy.ndimage import (  # pyright: ignore[reportMissingTypeStubs]
+        find_objects,  # pyright: ignore[reportUnknownVariableType]
+        label,  # pyright: ignore[reportUnknownVariableType]
+    )
 
-    found = []
+    found = list[Patch]()
     for number, view in enumerate(views):
         camera = view.device
         points = camera.points(view.depth)
@@ -93,7 +106,8 @@ def patches(
             _explain(view.depth, view.rays, window, origin, between, faces, slack, mask)
         marks = np.zeros(mask.shape, np.int32)
         label(mask, np.ones((3, 3)), marks)
-        for k, box in enumerate(find_objects(marks), 1):
+        boxes = cast("list[tuple[slice, slice]]", find_objects(marks))
+        for k, box in enumerate(boxes, 1):
             inside = marks[box] == k
             if inside.sum() >= LEAST:
                 found.append(Patch(points[box][inside], number))

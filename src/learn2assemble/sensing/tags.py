@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -49,7 +49,7 @@ class BlockTag(NamedTuple):
 @lru_cache(maxsize=8)
 def _detector(family: str) -> Any:
     with extra("pupil_apriltags", "vision"):
-        from pupil_apriltags import Detector
+        from pupil_apriltags import Detector  # pyright: ignore[reportMissingTypeStubs]
 
     class KeptDetector(Detector):
         """One that is not freed: the library (1.0.4) frees families before what uses them."""
@@ -130,7 +130,7 @@ def _from_homography(
     tag: FoundTag, size: float, camera: DepthCamera
 ) -> tuple[np.ndarray, np.ndarray]:
     """A first pose in the camera frame."""
-    rows = []
+    rows = list[list[float]]()
     seen = (tag.corners - camera.middle) / camera.focal
     for (x, y, _), (u, v) in zip(SQUARE * size, seen, strict=True):
         rows.append([x, y, 1, 0, 0, 0, -u * x, -u * y, -u])
@@ -264,7 +264,9 @@ def drawn(
         family: of them.
         blur: standard deviation of the lens [pixels].
     """
-    from scipy.ndimage import gaussian_filter
+    from scipy.ndimage import (  # pyright: ignore[reportMissingTypeStubs]
+        gaussian_filter,  # pyright: ignore[reportUnknownVariableType]
+    )
 
     grey = np.full((3, 3, *picture.depth.shape), 140.0)
     offsets = np.arange(-1, 2) / 3 / camera.focal
@@ -295,5 +297,5 @@ def drawn(
                 show = inside & ((read <= 0) | (read > depth - 0.01))
                 column, row = at[show].astype(int).T
                 grey[i, j][window][show] = 30 + 195 * (print_[cells - 1 - row, column] / 255.0)
-    shown = gaussian_filter(grey.mean((0, 1)), blur)
+    shown = cast("np.ndarray", gaussian_filter(grey.mean((0, 1)), blur))
     return picture._replace(grey=shown.round().clip(0, 255).astype(np.uint8))

@@ -50,11 +50,11 @@ class Built:
     start: State
     real: RealCell | None = None
     """The cell of the arm, where one builds."""
-    made: list[Made] = field(default_factory=list)
+    made: list[Made] = field(default_factory=list[Made])
     filled: bool = False
     stage: int = 0
     """The widest search that was needed, index into ``STAGES``."""
-    tried: list[plans.SearchStage] = field(default_factory=list)
+    tried: list[plans.SearchStage] = field(default_factory=list[plans.SearchStage])
 
 
 def plan_of(build: Built, agent: str, source: str, started: float) -> Plan:
@@ -70,7 +70,7 @@ def plan_of(build: Built, agent: str, source: str, started: float) -> Plan:
         reason = f"filled {reached:.1%} of the target, more than {needed} is needed"
         reason += f"; all {available} blocks are used" * (len(made) + 1 == available)
     simulated = "arm and blocks together, grasps by friction" if real else "rigid bodies at rest"
-    steps, known = [], {first: 0}
+    steps, known = list[plans.Step](), {first: 0}
     for number, item in enumerate(made, 1):
         # A block that fell and is part of the structure all the same has no step of its own.
         reference = known.get(item.reference, number - 1)

@@ -89,7 +89,8 @@ class ArmPhysics:
         assert self._before is not None, "prepare comes first"
         (before, actions), row = self._before, int(rows[n])
         placed, count = int(before.num_placed[n]), int(before.num_blocks[n])
-        unplaced, _, action = actions[n].tolist()
+        chosen: list[int] = actions[n].tolist()
+        unplaced, _, action = chosen
         scene = scene_of(
             before.position[n, :count],
             before.quaternion[n, :count],

@@ -160,25 +160,25 @@ def _summary(
 
 @kernel
 def _describe(
-    out,
-    candidates,
-    way,
-    kind,
-    origin,
-    start,
-    cell,
-    support,
-    hanging,
-    wanted,
-    owner,
-    cover,
-    alive,
-    over_start,
-    over,
-    heap,
-    lowest,
-    last,
-):
+    out: np.ndarray,
+    candidates: np.ndarray,
+    way: np.ndarray,
+    kind: np.ndarray,
+    origin: np.ndarray,
+    start: np.ndarray,
+    cell: np.ndarray,
+    support: np.ndarray,
+    hanging: np.ndarray,
+    wanted: np.ndarray,
+    owner: np.ndarray,
+    cover: np.ndarray,
+    alive: np.ndarray,
+    over_start: np.ndarray,
+    over: np.ndarray,
+    heap: np.ndarray,
+    lowest: int,
+    last: np.ndarray,
+) -> None:
     size_x, size_y, size_z = wanted.shape
     lost = np.zeros(len(cover), np.int64)
     seen = np.full(len(alive), -1)

@@ -131,8 +131,9 @@ def _court(rng: np.random.Generator, size: float) -> Cells:
             along = (cells[:thick] if side == 2 else cells[-thick:]).swapaxes(0, 1)
         along[:] = True
         opening = int(rng.integers(0, 4))
-        if opening and along.shape[0] > opening + 2 * thick + 2:
-            x = int(rng.integers(thick + 1, along.shape[0] - opening - thick))
+        length: int = along.shape[0]
+        if opening and length > opening + 2 * thick + 2:
+            x = int(rng.integers(thick + 1, length - opening - thick))
             low = int(rng.integers(0, high))
             along[x : x + opening, :, low : low + int(rng.integers(1, 5))] = False
     return cells
@@ -155,7 +156,7 @@ def _union(rng: np.random.Generator, size: float) -> Cells:
 def _ziggurat(rng: np.random.Generator, size: float) -> Cells:
     """Solid, in storeys that step back, not always in the middle."""
     x, y = _span(rng, size, 0.4, 0.9, 3), _span(rng, size, 0.3, 0.8, 2)
-    storey, levels = int(rng.integers(1, 4)), []
+    storey, levels = int(rng.integers(1, 4)), list[np.ndarray]()
     low, high = np.zeros(2, int), np.array([x, y])
     while (high - low).min() >= 1 and len(levels) < size:
         floor = np.zeros((x, y), bool)
@@ -202,7 +203,7 @@ def _letters(rng: np.random.Generator, size: float) -> Cells:
     """One to three letters or digits beside each other."""
     stroke = 1 if size < 10 or rng.random() < 0.5 else 2
     low, high = (_span(rng, size, 0.15, 0.4, 1) for _ in range(2))
-    parts = []
+    parts = list[np.ndarray]()
     for name in rng.choice(list(_SEGMENTS), int(rng.integers(1, 4))):
         wide = max(_span(rng, size, 0.3, 0.6, 3), 2 * stroke + 1)
         parts += [draw_letter(str(name), wide, low, high, stroke), np.zeros((2, 1), bool)]
@@ -230,7 +231,7 @@ def _round_arch(rng: np.random.Generator, size: float) -> Cells:
 def _towers(rng: np.random.Generator, size: float) -> Cells:
     """One tower beside the middle of its base, or several, hollow or solid."""
     count = int(rng.integers(1, 4))
-    parts = []
+    parts = list[np.ndarray]()
     for _ in range(count):
         wide, deep = int(rng.integers(1, 5)), int(rng.integers(1, 4))
         part = np.ones((wide, deep, _span(rng, size, 0.5, 1.4, 3)), bool)
@@ -379,9 +380,10 @@ def put_in_order(
         world: is changed.
         rng: for a random order instead of from below.
     """
-    left, order = list(candidates), []
+    left, order = list(candidates), list[int]()
     if rng is not None:
-        left = [left[k] for k in rng.permutation(len(left))]
+        mixed: list[int] = rng.permutation(len(left)).tolist()
+        left = [left[k] for k in mixed]
     progress = True
     while left and progress:
         progress = False
@@ -400,7 +402,7 @@ def put_in_order(
 
 def with_exact_heap(solved: Solved) -> Solved:
     """The same design with a heap of exactly the blocks of its solution."""
-    used = Counter(solved.site.kind[list(solved.order)].tolist())
+    used = Counter[int](solved.site.kind[list(solved.order)].tolist())
     kinds = tuple(replace(kind, count=used[number]) for number, kind in enumerate(solved.kit.kinds))
     # Limits only say how many: the candidates stay the same.
     site = make_site(solved.site.wanted, replace(solved.kit, kinds=kinds))

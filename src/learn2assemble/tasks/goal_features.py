@@ -134,7 +134,16 @@ def _levers(
 
 
 @kernel
-def _lean(children, bed_start, bed, owner, levels, blocks, centre, out):
+def _lean(
+    children: np.ndarray,
+    bed_start: np.ndarray,
+    bed: np.ndarray,
+    owner: np.ndarray,
+    levels: int,
+    blocks: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    centre: np.ndarray,
+    out: tuple[np.ndarray, np.ndarray],
+) -> None:
     relative, length, middle, tip = blocks
     lean, lever = out
     for n in range(len(children)):

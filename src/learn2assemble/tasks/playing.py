@@ -99,7 +99,7 @@ def plan_episode(
         avoid: placements to leave out, see :func:`placement_key`.
         progress: told what is being tried.
     """
-    model, tried = _Without(simulator, network, avoid), []
+    model, tried = _Without(simulator, network, avoid), list[plans.SearchStage]()
     best, most = PlayedEpisode([], False, 0, []), -np.inf
     for stage, words in enumerate(STAGES):
         progress(words)
@@ -123,7 +123,8 @@ def _play(
     model: _Without, start: State, config: SearchConfig, rng: np.random.Generator
 ) -> tuple[list[np.ndarray], float, bool]:
     """Let the agent play with a search before every step: what it did, coverage, success."""
-    state, actions, idle, task = start.copy(), [], 0, model.simulator.task
+    state, idle, task = start.copy(), 0, model.simulator.task
+    actions = list[np.ndarray]()
     cover = float(state.complete_coverage[0])
     while state.num_unplaced[0] and idle < PATIENCE:
         action = search(model, state, config, rng)[0].action
@@ -146,8 +147,9 @@ def _try_all(
     """Depth first over every legal placement, as :func:`_play`."""
     deadline = time.perf_counter() + seconds
     state = start.copy()
-    stack, seen = [(state, [], _candidates(simulator, state, avoid))], {_filled(state)}
-    best, most = [], float(state.complete_coverage[0])
+    begun = state, list[np.ndarray](), _candidates(simulator, state, avoid)
+    stack, seen = [begun], {_filled(state)}
+    best, most = list[np.ndarray](), float(state.complete_coverage[0])
     while stack and time.perf_counter() < deadline:
         state, path, candidates = stack[-1]
         if not candidates:

@@ -136,7 +136,8 @@ class WorldModel:
     ) -> list[tuple[torch.Tensor, torch.Tensor]]:
         """Largest Q and its node action, in parts whose activations stay in the cache of a CPU;
         keeps all values."""
-        tensors, found = to_tensors(graph, self.device), []
+        tensors = to_tensors(graph, self.device)
+        found = list[tuple[torch.Tensor, torch.Tensor]]()
         with torch.inference_mode():
             for start in range(0, len(names), PART):
                 part = GraphTensors(*[t[start : start + PART] for t in tensors])
@@ -207,7 +208,7 @@ def placement_cost(
 ) -> np.ndarray:
     """What placements cost that gain nothing, float64[P]: by the distance from the target vertices
     in plan, then by height; more than any gain."""
-    corners = []
+    corners = list[np.ndarray]()
     for side, frame in enumerate(simulator.frames):
         outline = state.vertices[row, side, : state.num_vertices[row, side]]
         corners.append(to_world(frame, outline[:, 0], np.zeros(len(outline)), outline[:, 1]))

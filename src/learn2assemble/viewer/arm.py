@@ -148,7 +148,7 @@ def _attempt(number: int, segment: ReplaySegment, name: str, arm: str | bool) ->
 
 def ribbon(playback: Playback) -> str:
     """All steps side by side as long as they take, one lane an arm; a click shows one."""
-    parts, lanes = [], len(playback.arms)
+    parts, lanes = list[str](), len(playback.arms)
     high = 10 if lanes == 1 else 8
     for k, segment in enumerate(playback.segments):
         step = segment.step

@@ -4,7 +4,7 @@ believed to be and from their places, and where they really were, drawn so that 
 from __future__ import annotations
 
 from html import escape
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -61,7 +61,8 @@ def _chart(words: str, lines: list[tuple[str, int, np.ndarray]]) -> str:
         return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in ends)
 
     drawn = ""
-    for tick in np.arange(0, most + step / 2, step).tolist():
+    ticks = cast("np.ndarray", np.arange(0, most + step / 2, step))
+    for tick in ticks.tolist():
         _, y = at(first, tick)
         drawn += f'<path class="grid" d="M{LEFT} {y:.1f}H{WIDE - 8}"/>'
         drawn += f'<text x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{tick:g}</text>'
@@ -87,17 +88,22 @@ def truth_data(playback: Playback) -> dict[str, Any] | None:
     steps = [step for step in playback.record.steps if step.truth is not None]
     if not steps:
         return None
-    there = [np.flatnonzero((s.truth[:, 2] > 0) & (s.after[:, 2] > 0)) for s in steps]  # pyright: ignore[reportOptionalSubscript]
-    off = [(s.truth - s.after)[cells, :3] for s, cells in zip(steps, there, strict=True)]
+    truths = [step.truth for step in steps if step.truth is not None]
+    there = [
+        np.flatnonzero((truth[:, 2] > 0) & (s.after[:, 2] > 0))
+        for s, truth in zip(steps, truths, strict=True)
+    ]
+    off = [
+        (truth - s.after)[cells, :3] for s, truth, cells in zip(steps, truths, there, strict=True)
+    ]
     largest = max((float(np.linalg.norm(one, axis=1).max()) for one in off if len(one)), default=0)
     size = float(np.median(2 * playback.half.min(1)))
     scale = 1 if largest <= 0 else min(max(1, int(SHOWN * size / largest)), MOST)
     told: dict[str, Any] = {}
-    for step, cells, away in zip(steps, there, off, strict=True):
-        assert step.truth is not None
-        turned = split(step.truth)[1]
+    for step, truth, cells, away in zip(steps, truths, there, off, strict=True):
+        turned = split(truth)[1]
         told[str(step.number - 1)] = [
-            [cell, np.round(step.after[cell, :3] + scale * one, 5).tolist(), turned[cell].round(5)]
+            [cell, (step.after[cell, :3] + scale * one).round(5).tolist(), turned[cell].round(5)]
             for cell, one in zip(cells.tolist(), away, strict=True)
         ]
     return {"scale": scale, "after": told}

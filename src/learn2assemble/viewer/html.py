@@ -69,12 +69,12 @@ def _hash(text: str) -> str:
 
 def to_json(value: Any) -> str:
     """JSON that cannot end the script element it stands in; arrays are rounded to 1e-6."""
+
+    def rounded(array: np.ndarray) -> Any:
+        return (np.round(array, 6) + 0.0).tolist()
+
     text = json.dumps(
-        value,
-        ensure_ascii=True,
-        allow_nan=False,
-        separators=(",", ":"),
-        default=lambda array: (np.round(array, 6) + 0.0).tolist(),
+        value, ensure_ascii=True, allow_nan=False, separators=(",", ":"), default=rounded
     )
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 

@@ -265,7 +265,7 @@ def _blamed(plan: Plan | None) -> list[Mark]:
     if plan is None or plan.design.cell is None or plan.design.shape is None:
         return []
     size, shape = np.array(plan.design.cell), np.array(plan.design.shape)
-    found = []
+    found = list[Mark]()
     for group in plan.blamed:
         corner = (np.array(group.cells) - [shape[0] / 2, shape[1] / 2, 0]) * size
         boxes = np.hstack([corner, corner + size])
@@ -275,7 +275,7 @@ def _blamed(plan: Plan | None) -> list[Mark]:
 
 def _blame_sentences(plan: Plan | None) -> list[str]:
     """Which cells are marked, in words."""
-    found = []
+    found = list[str]()
     for group in plan.blamed if plan is not None else ():
         named = ", ".join(map(str, group.cells[:_LISTED]))
         named += f" and {len(group.cells) - _LISTED} more" * (len(group.cells) > _LISTED)

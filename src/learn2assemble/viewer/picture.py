@@ -83,7 +83,9 @@ def write_progress(plan: Plan, path: Path, moments: int = MOMENTS) -> None:
         sheet.paste(Image.fromarray(picture), corner)
         text = f"after step {step} of {steps}" if steps and moments > 1 else assembly.name
         if targets and step:
-            text += f": {percent(plan.steps[step - 1].coverage)} covered".replace("\u00a0", " ")
+            text += f": {percent(plan.steps[int(step) - 1].coverage)} covered".replace(
+                "\u00a0", " "
+            )
         at = (corner[0] + 14, corner[1] + 12)
         ImageDraw.Draw(sheet).text(at, text, fill=_RIM, font=font)
     out = io.BytesIO()

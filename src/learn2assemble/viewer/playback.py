@@ -188,7 +188,7 @@ class Playback:
         return joints, float(width)
 
     def _segments(self) -> list[ReplaySegment]:
-        delay, found = 0.0, []
+        delay, found = 0.0, list[ReplaySegment]()
         for arm, step, start, end in self.steps:
             pause = 0.0 if len(step.samples.time) else PAUSE
             segment = ReplaySegment(arm, step, start + delay, end + delay + pause, delay, ())
@@ -201,7 +201,7 @@ class Playback:
         moved = np.abs(step.after - step.before).max(1) > _STILL
         if step.grip is not None:
             moved[list(step.cells)] = True
-        found = []
+        found = list[Glide]()
         position, quaternion = split(step.before)
         for cell in np.flatnonzero(moved).tolist():
             where, turned = position[cell], quaternion[cell]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from learn2assemble.files import write_file
 from learn2assemble.jobs.build import cells_of
 
 if TYPE_CHECKING:
+    from PIL import ImageDraw
+
     from learn2assemble.assembly.kit import Kit
     from learn2assemble.design.cells import CellDesign
 
@@ -110,9 +112,10 @@ def section(triangles: np.ndarray, axis: int, at: float) -> np.ndarray:
     above = distance > 0
     met = above.any(1) & ~above.all(1)
     triangles, distance, above = triangles[met], distance[met], above[met]
-    lone = np.where(above.sum(1) == 1, above.argmax(1), above.argmin(1))
+    first, last = above.argmax(1), above.argmin(1)
+    lone = cast("np.ndarray", np.where(above.sum(1) == 1, first, last))
     rows = np.arange(len(lone))
-    ends = []
+    ends = list[np.ndarray]()
     for step in (1, 2):
         other = (lone + step) % 3
         start, end = distance[rows, lone], distance[rows, other]
@@ -123,7 +126,12 @@ def section(triangles: np.ndarray, axis: int, at: float) -> np.ndarray:
 
 
 def _panel(
-    pen, design: CellDesign, view: View, layer: int, corner: tuple[float, float], scale: float
+    pen: ImageDraw.ImageDraw,
+    design: CellDesign,
+    view: View,
+    layer: int,
+    corner: tuple[float, float],
+    scale: float,
 ) -> None:
     """Cells and surface of a layer; ``corner`` is the lower left one [px]."""
     axes = [view.across, view.up]

@@ -37,13 +37,13 @@ def project(world: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 @kernel(inline="always", error_model="numpy")
-def _span(low, high, limit):
+def _span(low: float, high: float, limit: int) -> tuple[int, int]:
     """First and last sample whose centre lies between ``low`` and ``high``."""
     return max(int(np.ceil(low - 0.5)), 0), min(int(np.floor(high - 0.5)), limit - 1)
 
 
 @kernel(inline="always", error_model="numpy")
-def _inner(u, v, u_step, v_step, count):
+def _inner(u: float, v: float, u_step: float, v_step: float, count: int) -> tuple[int, int]:
     """First and last of ``count`` samples in a row whose weights are all positive, and one more
     on either side against rounding."""
     low, high = np.float32(0), np.float32(count - 1)
@@ -59,13 +59,21 @@ def _inner(u, v, u_step, v_step, count):
 
 
 @kernel(inline="always", error_model="numpy")
-def _area(a, b, c):
+def _area(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
     """Twice the signed area of a triangle in the picture."""
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
 @kernel(error_model="numpy")
-def _cover(a, b, c, area, nearest, marks, mark):
+def _cover(
+    a: np.ndarray,
+    b: np.ndarray,
+    c: np.ndarray,
+    area: float,
+    nearest: np.ndarray,
+    marks: np.ndarray,
+    mark: int,
+) -> None:
     """Enter a triangle where it is nearer than anything before it, and ``mark`` it there.
 
     Args:
@@ -362,16 +370,9 @@ class Bodies:
     def add(self, body: int, mesh: Mesh, kind: int, marks: np.ndarray | None = None) -> None:
         """Add a mesh in the frame of its body; ``marks`` as in :class:`Triangles`."""
         v, f = len(mesh.vertices), len(mesh.faces)
-        self._rows.append(
-            (
-                mesh.vertices,
-                mesh.normals,
-                np.zeros((v, 2)) if marks is None else marks,
-                np.full(v, body),
-                mesh.faces + self._vertices,
-                np.full(f, kind),
-            )
-        )
+        marks = np.zeros((v, 2)) if marks is None else marks
+        body_of, faces = np.full(v, body), mesh.faces + self._vertices
+        self._rows.append((mesh.vertices, mesh.normals, marks, body_of, faces, np.full(f, kind)))
         self._vertices += v
 
     def add_bars(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -187,7 +187,7 @@ def block_parts(
     layers = _layers(bottoms, [float(np.ptp(block.vertices[:, 2])) for block in assembly.blocks])
     numbers: dict[Any, int] = {}
     shapes: list[Block] = []
-    parts = []
+    parts = list[ScenePart]()
     level = np.searchsorted(layers, bottoms, side="right") - 1
     for block, layer, (kind, colour) in zip(
         assembly.blocks, level.tolist(), kinds_and_colours(assembly), strict=True
@@ -222,7 +222,7 @@ class _Stay:
 
     placed: int
     removed: int = 0
-    holds: list[tuple[int, int]] = field(default_factory=list)
+    holds: list[tuple[int, int]] = field(default_factory=list[tuple[int, int]])
 
 
 def _layers(bottoms: np.ndarray, heights: list[float]) -> list[float]:
@@ -242,7 +242,7 @@ def _layers(bottoms: np.ndarray, heights: list[float]) -> list[float]:
 def _shape_data(shapes: Sequence[Block]) -> dict[str, Any]:
     """Vertices and triangles of all shapes, one after the other, and their sections from below:
     bottom, top, rings and a point in it [m, from the smallest corner]."""
-    vertices, triangles, cuts = [], [], []
+    vertices, triangles, cuts = list[np.ndarray](), list[np.ndarray](), list[list[Any]]()
     for block in shapes:
         points, faces = _triangles(block)
         vertices.append(points - block.vertices.min(0))
@@ -267,7 +267,7 @@ def _triangles(block: Block) -> tuple[np.ndarray, np.ndarray]:
         corners = fan_triangles(block.vertices, block.faces).reshape(-1, 3)
         points, index = np.unique(corners, axis=0, return_inverse=True)
         return points, index.reshape(-1, 3)
-    mesh = to_manifold(block).to_mesh64()
+    mesh: Any = to_manifold(block).to_mesh64()
     return np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts)
 
 
@@ -309,14 +309,17 @@ def side_covers(blocks: list[Block]) -> list[list[list[int]] | None]:
         ups = np.flatnonzero(boxes)[np.argsort(high[boxes, axis], kind="stable")]
         downs = np.flatnonzero(boxes)[np.argsort(low[boxes, axis], kind="stable")]
         begin, stop = (
-            np.searchsorted(low[downs, axis], high[ups, axis] + off) for off in (-near, near)
+            cast("np.ndarray", np.searchsorted(low[downs, axis], high[ups, axis] + off))
+            for off in (-near, near)
         )
         covered = np.zeros((2, len(blocks)))
-        for a, first, last in zip(ups.tolist(), begin.tolist(), stop.tolist(), strict=True):
+        numbers: list[int] = ups.tolist()
+        for a, first, last in zip(numbers, begin.tolist(), stop.tolist(), strict=True):
             others = downs[first:last]
             shared = np.minimum(high[a], high[others]) - np.maximum(low[a], low[others])
             common = np.maximum(shared[:, across], 0.0).prod(1)
-            for b, size in zip(others[common > 0].tolist(), common[common > 0], strict=True):
+            touched: list[int] = others[common > 0].tolist()
+            for b, size in zip(touched, common[common > 0], strict=True):
                 found[a][2 * axis + 1].append(b)
                 found[b][2 * axis].append(a)
                 covered[0, b] += size

@@ -244,7 +244,7 @@ def bill(told: Instructions) -> tuple[str, str]:
         f"<th {NUMBER}>{name}</th>" if k in numbers else f"<th>{name}</th>"
         for k, name in enumerate(BILL_HEAD)
     )
-    rows = []
+    rows = list[str]()
     for line in told.bill:
         letter, *words = map(escape, bill_words(line))
         rows.append(row([_swatch(line.shape.colour) + letter, *words], numbers))
@@ -288,7 +288,7 @@ def layer_words(
         layers: where they begin [m, world].
         steps: all of the assembly.
     """
-    found = []
+    found = list[str]()
     for k, height in enumerate(layers):
         members = [part for part in parts if part.layer == k]
         counts = Counter(part.kind for part in members).most_common()

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import matplotlib
 import numpy as np
@@ -173,9 +173,10 @@ class Frames:
         points = [record.steps[0].before[:, :2], *bases]
         every = np.concatenate([*points, *(corners[:, :2] for corners in self.targets)])
         low, high = every.min(0) - 2.2 * edge, every.max(0) + 2.2 * edge
-        quarter, ring = np.linspace(0, np.pi / 2, 9), []
+        quarter, ring = np.linspace(0, np.pi / 2, 9), list[np.ndarray]()
         for k, (sx, sy) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
-            centre = np.where(np.array([sx, sy]) > 0, high, low) - edge * np.array([sx, sy])
+            corner = cast("np.ndarray", np.where(np.array([sx, sy]) > 0, high, low))
+            centre = corner - edge * np.array([sx, sy])
             turn = quarter + k * np.pi / 2
             ring.append(centre + edge * np.column_stack([np.cos(turn), np.sin(turn)]))
         rim = np.concatenate(ring)
@@ -207,13 +208,14 @@ class Frames:
         """The targets as triangles in the picture, a hair behind the faces of the blocks."""
         import manifold3d
 
-        edge, found = self.playback.record.block_edge, []
+        edge, found = self.playback.record.block_edge, list[np.ndarray]()
+        library = cast("Any", manifold3d)
         for target in self.plan.design.targets:
             x, y, _ = normal = np.array(target.outward)
             corners = np.array(target.outline)[::-1] - edge / 50 * normal
             flat = np.stack([corners @ [-y, x, 0.0], corners[:, 2]], 1)
             screen = renderer.project(corners, self.camera)
-            found += [screen[ear] for ear in manifold3d.triangulate([flat])]
+            found += [screen[ear] for ear in library.triangulate([flat])]
         return found
 
     def _ribbons(self) -> tuple[Image.Image, Image.Image]:
@@ -285,7 +287,7 @@ class Frames:
 
     def doing(self, clock: float) -> str:
         """What arms do at a time of the replay, as a sentence."""
-        arms, told = self.playback.arms, {}
+        arms, told = self.playback.arms, dict[int, str]()
         if clock <= 0:
             return "The arms wait." if arms[1:] else "The arm waits."
         if clock >= self.playback.duration:
@@ -335,8 +337,9 @@ class Frames:
     def _view(self) -> int:
         """The number of the direction from which the finished structure shows most."""
         built = self.playback.record.steps[-1].after[:, :3]
+        library = cast("Any", shapely)  # Its stubs have arguments without a type.
         first, second = (
-            shapely.area(
+            library.area(
                 shapely.convex_hull(
                     shapely.multipoints(built @ renderer.view_axes(self._turned(back))[:2].T)
                 )

@@ -57,9 +57,14 @@ class GraphTensors(NamedTuple):
         return torch.arange(self.nodes.shape[1], device=self.nodes.device)
 
 
+def tensor_of(array: np.ndarray) -> torch.Tensor:
+    """A tensor that shares the memory of an array."""
+    return torch.from_numpy(array)  # pyright: ignore[reportUnknownMemberType]
+
+
 def to_tensors(graph: Graph, device: torch.device | str = "cpu") -> GraphTensors:
     """Copy a graph to ``device``."""
-    fields = [torch.from_numpy(field) for field in graph]
+    fields = [tensor_of(field) for field in graph]
     return GraphTensors(*[t.to(device, non_blocking=True) for t in fields])
 
 
@@ -104,7 +109,7 @@ class CellTensors(NamedTuple):
     def locate(self, action: torch.Tensor) -> torch.Tensor:
         """Number of the placement with the result of each node action int64[B, 3]: int64[B]."""
         found = locate(self.placements, self.graph, action.cpu().numpy(), self.action_spec)
-        return torch.from_numpy(found).to(action.device)
+        return tensor_of(found).to(action.device)
 
 
 def cell_tensors(
@@ -121,7 +126,7 @@ def cell_tensors(
     placements = distinct_placements(plain, spec)
     relations = relate(plain, placements, spec.pitch, sight)
     device = graph.nodes.device
-    used = np.arange(placements.cells.shape[1]) < placements.num_cells[:, None]
+    used = np.arange(int(placements.cells.shape[1])) < placements.num_cells[:, None]
     row = used.nonzero()[0]
     unplaced = plain.num_nodes - plain.num_targets - plain.num_placed
     area = np.maximum(relations.area, 0.1)
@@ -131,7 +136,7 @@ def cell_tensors(
     cell, part_of, lever = _parts(placements, np.cumsum(placements.num_cells))
 
     def put(array: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(np.ascontiguousarray(array)).to(device)
+        return tensor_of(np.ascontiguousarray(array)).to(device)
 
     hands = None
     if hand:

@@ -20,14 +20,14 @@ from learn2assemble.tasks.world.rules import waiting_level
 
 
 @kernel(inline="always")
-def _mix(value):
+def _mix(value: np.uint64) -> np.uint64:
     value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return value ^ (value >> np.uint64(31))
 
 
 @kernel(inline="always")
-def cell_key(x: int, y: int, z: int) -> np.uint64:
+def cell_key(x: float, y: float, z: float) -> np.uint64:
     # In units of a tenth of a block: finer than a lattice, coarser than what settling moves. A
     # gripper may leave blocks beside their places by more, then like placements may look different.
     unit = 10.0 / EDGE
@@ -110,7 +110,15 @@ def enter(
 
 
 @kernel
-def _keys(nodes, object_id, targets, first, used, spec, out):
+def _keys(
+    nodes: np.ndarray,
+    object_id: np.ndarray,
+    targets: int,
+    first: int,
+    used: int,
+    spec: ActionSpec,
+    out: np.ndarray,
+) -> None:
     offsets = np.empty((MAX_CELLS, 3))
     cells = np.empty((MAX_CELLS, 3))
     for i in range(used - first):
@@ -218,7 +226,7 @@ class Placements(NamedTuple):
     """int64[B, P, 3]: node action of the first placement found with this result."""
     members: np.ndarray
     """int64[B, P, C]: cells it fills, the chosen block's first; -1 beyond."""
-    count: np.ndarray
+    count: np.ndarray  # pyright: ignore[reportIncompatibleMethodOverride]
     """int64[B]."""
     key: np.ndarray
     """uint64[B, P]: number of the result; equal for actions with the same result and grip."""
@@ -226,11 +234,19 @@ class Placements(NamedTuple):
     @property
     def used(self) -> np.ndarray:
         """bool[B, P]."""
-        return np.arange(self.action.shape[1]) < self.count[:, None]
+        return np.arange(int(self.action.shape[1])) < self.count[:, None]
 
 
 @kernel(inline="always")
-def _enter_cell(table, row, stamps, keys, cell, cells, num_cells):
+def _enter_cell(
+    table: np.ndarray,
+    row: int,
+    stamps: np.ndarray,
+    keys: np.ndarray,
+    cell: np.ndarray,
+    cells: np.ndarray,
+    num_cells: np.ndarray,
+) -> int:
     """Number of a cell among the ``num_cells[row]`` known ones in ``cells`` float32[K, 3]; a new
     one is entered as the next. -1 where there is no room."""
     count = num_cells[row]
@@ -246,19 +262,19 @@ def _enter_cell(table, row, stamps, keys, cell, cells, num_cells):
 
 @kernel
 def _enumerate(
-    nodes,
-    object_id,
-    num_targets,
-    num_placed,
-    num_nodes,
-    spec,
-    out_cells,
-    num_cells,
-    out_action,
-    out_members,
-    count,
-    out_key,
-):
+    nodes: np.ndarray,
+    object_id: np.ndarray,
+    num_targets: np.ndarray,
+    num_placed: np.ndarray,
+    num_nodes: np.ndarray,
+    spec: ActionSpec,
+    out_cells: np.ndarray,
+    num_cells: np.ndarray,
+    out_action: np.ndarray,
+    out_members: np.ndarray,
+    count: np.ndarray,
+    out_key: np.ndarray,
+) -> bool:
     """Write all rows; returns False where the arrays are too small."""
     slots = 4 * out_action.shape[1]
     tables = np.empty((3, slots), np.int64)
@@ -383,7 +399,18 @@ def distinct_placements(graph: Graph, spec: ActionSpec) -> Placements:
 
 
 @kernel
-def _locate(nodes, object_id, num_targets, num_placed, num_nodes, spec, action, count, keys, out):
+def _locate(
+    nodes: np.ndarray,
+    object_id: np.ndarray,
+    num_targets: np.ndarray,
+    num_placed: np.ndarray,
+    num_nodes: np.ndarray,
+    spec: ActionSpec,
+    action: np.ndarray,
+    count: np.ndarray,
+    keys: np.ndarray,
+    out: np.ndarray,
+) -> None:
     offsets = np.empty((MAX_CELLS, 3))
     cells = np.empty((MAX_CELLS, 3))
     for row in range(len(action)):

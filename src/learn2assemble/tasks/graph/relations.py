@@ -51,12 +51,12 @@ class Relations(NamedTuple):
 
 
 @kernel(inline="always")
-def _clip(value, limit):
+def _clip(value: float, limit: float) -> float:
     return min(max(value, -limit), limit)
 
 
 @kernel
-def _line(a, b, turn, x, z, out):
+def _line(a: np.ndarray, b: np.ndarray, turn: float, x: float, z: float, out: np.ndarray) -> None:
     """The first nine features: the edge from corner ``a`` to ``b`` seen from the cell (x, z)."""
     ax, az = (a[0] - x) / EDGE, (a[1] - z) / EDGE
     bx, bz = (b[0] - x) / EDGE, (b[1] - z) / EDGE
@@ -84,21 +84,21 @@ def offset_number(right: float, out: float, up: float, pitch: float) -> int:
 
 @kernel
 def _relate(
-    nodes,
-    object_id,
-    num_targets,
-    num_placed,
-    cells,
-    num_cells,
-    most_edges,
-    frames,
-    pitch,
-    sight,
-    edges,
-    edge_used,
-    offsets,
-    total_area,
-):
+    nodes: np.ndarray,
+    object_id: np.ndarray,
+    num_targets: np.ndarray,
+    num_placed: np.ndarray,
+    cells: np.ndarray,
+    num_cells: np.ndarray,
+    most_edges: int,
+    frames: np.ndarray,
+    pitch: float,
+    sight: float,
+    edges: np.ndarray,
+    edge_used: np.ndarray,
+    offsets: np.ndarray,
+    total_area: np.ndarray,
+) -> None:
     corner = np.empty((most_edges, 2))
     for row in range(len(num_targets)):
         targets, placed = num_targets[row], num_placed[row]
@@ -162,7 +162,7 @@ def relate(graph: Graph, placements: Placements, pitch: float = EDGE, sight: int
         sight: cells do not look at blocks farther than this many cells along any axis; 0: at all.
     """
     batch, most = placements.cells.shape[:2]
-    targets = np.arange(graph.nodes.shape[1]) < graph.num_targets[:, None]
+    targets = np.arange(int(graph.nodes.shape[1])) < graph.num_targets[:, None]
     side = np.where(targets, -1 - graph.object_id, -1)
     sides = int(side.max()) + 1
     most_edges = max(int((side == s).sum(1).max()) for s in range(sides))
@@ -211,7 +211,7 @@ class Hands(NamedTuple):
 
 
 @kernel
-def _seen(origin, other, turns, pitch):
+def _seen(origin: np.ndarray, other: np.ndarray, turns: int, pitch: float) -> int:
     """Number of the offset from ``origin`` to ``other`` [m] for a hand turned by quarter turns."""
     x, y = quarter_turn(other[0] - origin[0], other[1] - origin[1], -turns % 4)
     return offset_number(x, -y, other[2] - origin[2], pitch)
@@ -219,19 +219,19 @@ def _seen(origin, other, turns, pitch):
 
 @kernel
 def _look(
-    nodes,
-    object_id,
-    num_targets,
-    num_placed,
-    num_nodes,
-    cells,
-    action,
-    members,
-    count,
-    spec,
-    around,
-    place,
-):
+    nodes: np.ndarray,
+    object_id: np.ndarray,
+    num_targets: np.ndarray,
+    num_placed: np.ndarray,
+    num_nodes: np.ndarray,
+    cells: np.ndarray,
+    action: np.ndarray,
+    members: np.ndarray,
+    count: np.ndarray,
+    spec: ActionSpec,
+    around: np.ndarray,
+    place: np.ndarray,
+) -> int:
     most = 0
     for row in range(len(count)):
         first = num_targets[row]

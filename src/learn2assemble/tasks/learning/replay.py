@@ -24,7 +24,7 @@ class Searched(NamedTuple):
     """int64[B, E, 3]: explored root actions as node indices; zeros beyond ``count``."""
     value: np.ndarray
     """float32[B, E]: Q_S, their mean values when they were collected."""
-    count: np.ndarray
+    count: np.ndarray  # pyright: ignore[reportIncompatibleMethodOverride]
     """int64[B]: explored actions; 0 where no search took place."""
 
 
@@ -151,7 +151,7 @@ class Replay:
         position = self.arrays[f"{prefix}position"][rows]
         object_id = self.arrays[f"{prefix}object_id"][rows].astype(np.int32)
         targets, placed, used = (self.arrays[prefix + n][rows].astype(np.int64) for n in _COUNTS)
-        index = np.arange(position.shape[1])
+        index = np.arange(int(position.shape[1]))
         in_use = index < used[:, None]
         nodes = np.zeros((*position.shape[:2], 5), np.float32)
         nodes[..., :3] = position
@@ -213,12 +213,12 @@ def random_symmetry(batch: Batch, num_sides: int, rng: np.random.Generator) -> B
 
     def turn(graph: Graph) -> Graph:
         nodes = graph.nodes.copy()
-        settled = np.arange(nodes.shape[1]) < (graph.num_targets + graph.num_placed)[:, None]
+        settled = np.arange(int(nodes.shape[1])) < (graph.num_targets + graph.num_placed)[:, None]
         x, y = nodes[..., 0], nodes[..., 1]
         nodes[..., 0] = np.where(settled & mirror[:, None], -x, x)
         nodes[..., 1] = np.where(settled & exchange[:, None], middle - y, y)
         object_id = graph.object_id.copy()
-        vertex = np.arange(nodes.shape[1]) < graph.num_targets[:, None]
+        vertex = np.arange(int(nodes.shape[1])) < graph.num_targets[:, None]
         for chosen, permutation in ((mirror, MIRRORED_SIDES), (exchange, EXCHANGED_SIDES)):
             turned = vertex & chosen[:, None]
             object_id[turned] = -1 - permutation[-1 - object_id[turned]]

@@ -10,13 +10,13 @@ import json
 import math
 from collections import deque
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from learn2assemble.errors import InputError, extra
-from learn2assemble.tasks.graph.batch import to_tensors
+from learn2assemble.tasks.graph.batch import tensor_of, to_tensors
 from learn2assemble.tasks.graph.features import Graph, node_offset
 from learn2assemble.tasks.graph.placements import distinct_placements
 from learn2assemble.tasks.learning.config import METHODS, Learner, TrainConfig
@@ -55,12 +55,12 @@ def search_cross_entropy(values: Values, searched: Searched, taken: torch.Tensor
         taken: int64[B, 3]: the actions taken; they stand in where fewer were explored.
     """
     device = taken.device
-    actions = torch.from_numpy(searched.action).to(device)
-    count = torch.from_numpy(searched.count).to(device)
+    actions = tensor_of(searched.action).to(device)
+    count = tensor_of(searched.count).to(device)
     explored = torch.arange(actions.shape[1], device=device) < count[:, None]
     actions = torch.where(explored[..., None], actions, taken[:, None])
     q = torch.stack([values.select(action) for action in actions.unbind(1)], 1)
-    stored = torch.from_numpy(searched.value).to(device)
+    stored = tensor_of(searched.value).to(device)
     # A finite stand-in for minus infinity keeps rows without any search free of NaN.
     log_policy = q.masked_fill(~explored, NEGATIVE).log_softmax(1)
     goal = stored.masked_fill(~explored, NEGATIVE).softmax(1)
@@ -78,7 +78,7 @@ def q_loss(
     ``dense_weight`` adds :func:`dense_error`.
     """
     values = online(to_tensors(batch.graph, device))
-    action = torch.from_numpy(batch.action).to(device)
+    action = tensor_of(batch.action).to(device)
     y = td_targets(online, target, batch, config, device)
     value = values.select(action)
     loss = td = F.smooth_l1_loss(value, y)
@@ -103,9 +103,9 @@ def td_targets(
 
     For joined steps r is their discounted sum and gamma the discount after them.
     """
-    reward = torch.from_numpy(batch.reward).to(device)
-    alive = torch.from_numpy(~batch.terminal).to(device)
-    discount = torch.from_numpy(batch.discount).to(device)
+    reward = tensor_of(batch.reward).to(device)
+    alive = tensor_of(~batch.terminal).to(device)
+    discount = tensor_of(batch.discount).to(device)
     # Only states that go on are valued.
     rows = np.flatnonzero(~batch.terminal)
     following = reward.new_zeros(len(reward))
@@ -130,7 +130,7 @@ def dense_error(
     """
     rows, width = values.q.shape
     reward, terminal, valid = (
-        torch.from_numpy(field[:, :width]).to(values.q.device) for field in outcomes[:3]
+        tensor_of(field[:, :width]).to(values.q.device) for field in outcomes[:3]
     )
     used = values.cells.legal & (terminal | valid)
 
@@ -212,7 +212,7 @@ class Trainer:
         self.learner: Learner = METHODS[config.method]
         self.simulator: Simulator = Simulator(task, config.physics or None)
         self.rng: np.random.Generator = np.random.default_rng([TRAINING_STREAM, seed])
-        torch.manual_seed(seed)
+        torch.manual_seed(seed)  # pyright: ignore[reportUnknownMemberType]
         self.online: Network = make_network(config.network).to(device)
         self.model: WorldModel = WorldModel(self.simulator, self.online, device)
         """What the searches of training look ahead with."""
@@ -337,8 +337,8 @@ class Trainer:
         loss_of = self.learner.loss or q_loss
         loss, self.logs = loss_of(self.online, self.target, batch, config, self.device)
         self.optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        self.optimizer.step()
+        loss.backward()  # pyright: ignore[reportUnknownMemberType]
+        self.optimizer.step()  # pyright: ignore[reportUnknownMemberType]
         self.updates += 1
         if config.target_rate:
             with torch.no_grad():
@@ -384,7 +384,7 @@ class Trainer:
         """Everything but the counters and the optimiser's moments, by its name in a state file."""
         arrays = {**self._worlds(), **self.replay.state()}
         arrays["recent"] = np.asarray(self.recent, float).reshape(-1, 3)
-        tensors = {k: torch.from_numpy(np.ascontiguousarray(v)) for k, v in arrays.items()}
+        tensors = {k: tensor_of(np.ascontiguousarray(v)) for k, v in arrays.items()}
         for prefix, network in (("online", self.online), ("target", self.target)):
             tensors |= {f"{prefix}.{k}": v.cpu() for k, v in network.state_dict().items()}
         return tensors
@@ -396,9 +396,10 @@ class Trainer:
             InputError: where the file belongs to another task or configuration.
         """
         try:
-            with safe_open(path, "pt") as file:
+            with cast("Any", safe_open)(path, "pt") as file:
                 counters: dict[str, Any] = json.loads(file.metadata()["counters"])
-                tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+                names: list[str] = file.keys()
+                tensors: dict[str, torch.Tensor] = {key: file.get_tensor(key) for key in names}
             self._restore(counters, tensors)
         except (
             SafetensorError,

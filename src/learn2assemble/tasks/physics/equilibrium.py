@@ -133,7 +133,7 @@ def stability_margin(
     Sliding on the ground caps it at ``friction``, which is also the answer for an empty structure.
     A column of n cubes gives 1/n. Arguments and errors as :func:`is_stable`.
     """
-    reached = []
+    reached = list[np.ndarray]()
     for turn in (0.0, np.pi / CONE_SIDES):
         program = _BalanceProgram(centres, object_id, friction, turn=turn)
         if program.num_objects == 0:
@@ -178,7 +178,7 @@ def _ground_contacts(centres: np.ndarray, body: np.ndarray, slack: float) -> Box
 
 def _fillers(centres: np.ndarray, body: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Centres float64[f, 3] of the fillers of all objects, and whose they are int64[f]."""
-    found, owner = [np.empty((0, 3))], []
+    found, owner = [np.empty((0, 3))], list[int]()
     for number in np.flatnonzero(np.bincount(body) > 1).tolist():
         found.append(filler_centres(centres[body == number], HALF))
         owner += [number] * len(found[-1])
@@ -225,7 +225,7 @@ class _BalanceProgram:
             tangents[axis][:, [k for k in range(3) if k != axis]] = _tangents(turn)
         axes = np.argmax(contacts.normals, 1)
         generators = contacts.normals[:, None] + friction * tangents[axes]
-        rows, values = [], []
+        rows, values = list[np.ndarray](), list[np.ndarray]()
         for body, sign in ((contacts.body_a, -1.0), (contacts.body_b, 1.0)):
             # The ground needs no equations: its columns are dropped below as zeros.
             lever = (contacts.points - self._centre[body]) / EDGE

@@ -114,7 +114,8 @@ def group_cells(
     body = np.array([first.setdefault(k, len(first)) for k in ids])
     lead = np.array([ids.index(k) for k in first])
     offset = np.zeros((count, 3))
-    layout, spacing = [], np.array([pitch, pitch, EDGE])
+    layout = list[tuple[tuple[int, int, int], ...]]()
+    spacing = np.array([pitch, pitch, EDGE])
     for number, head in enumerate(lead):
         cells = np.flatnonzero(body == number)
         relative = (position[cells] - position[head]) @ rotation_matrix(quaternion[head])
@@ -125,7 +126,7 @@ def group_cells(
                 position[cells].tolist(),
                 f"cells on one {100 * pitch:g} cm lattice",
             )
-        layout.append(tuple(tuple(int(v) for v in cell) for cell in lattice))
+        layout.append(tuple((int(x), int(y), int(z)) for x, y, z in lattice))
         offset[cells] = object_parts(lattice, pitch).cells
     return Grouping(tuple(layout), body, offset, lead)
 

@@ -179,7 +179,9 @@ def register_object_set(
     check_instance("shapes", shapes, (Mapping, type(None)), "shapes by name")
     own = dict(shapes or {})
     for key, shape in own.items():
-        if not isinstance(key, str) or not is_plain_name(key):
+        # Users may give other keys.
+        word = isinstance(key, str)  # pyright: ignore[reportUnnecessaryIsInstance]
+        if not word or not is_plain_name(key):
             raise InputError("shape name", key, PLAIN_NAME)
         check_instance(f"shape {key}", shape, Shape, "a Shape")
         cells = _cells_of(key, shape)
@@ -269,12 +271,14 @@ def inventory(name: str) -> Inventory:
 
 
 @kernel
-def _below(rng, limit):
+def _below(rng: np.random.Generator, limit: int) -> int:
     return int(rng.random() * limit)
 
 
 @kernel
-def _choose_shapes(rng, stock, count, chosen):
+def _choose_shapes(
+    rng: np.random.Generator, stock: Inventory, count: int, chosen: np.ndarray
+) -> int:
     """Shapes of a list of objects with ``count`` cells together; returns their number."""
     total = first = 0
     if stock.kind == BARS:

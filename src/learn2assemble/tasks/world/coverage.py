@@ -24,7 +24,7 @@ Plane filter = covered and not occluded. Complete filter = covered. The window i
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
@@ -62,8 +62,8 @@ WORDS = (IMAGE_SIZE + 63) // 64
 
 
 @intrinsic
-def _ctpop(typingctx, word):
-    def codegen(context, builder, signature, args):
+def _ctpop(typingctx: Any, word: Any) -> Any:
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.ctpop(args[0])
 
     return types.uint64(types.uint64), codegen
@@ -102,7 +102,7 @@ def pixel_vertex(x: float, z: float) -> tuple[int, int]:
 
 
 @kernel(inline="always")
-def _clip_row(au, av, bu, bv, v, low, high):
+def _clip_row(au: int, av: int, bu: int, bv: int, v: int, low: int, high: int) -> tuple[int, int]:
     """Columns of row ``v`` within ``low..high`` strictly right of the directed edge a->b."""
     du, dv = bu - au, bv - av
     side = du * (v - av)
@@ -186,7 +186,9 @@ FILTERS = {"narrow": NARROW, "wide": WIDE}
 
 
 @kernel(inline="always")
-def _add_box(image, x, y, z, half, depth_limit):
+def _add_box(
+    image: np.ndarray, x: float, y: float, z: float, half: float, depth_limit: float
+) -> None:
     """Add the pixels whose ray meets the axis-aligned cube before ``depth_limit`` to ``image``."""
     d0 = max(y - half - CAMERA_Y, NEAR_CLIP)
     d1 = min(min(y + half - CAMERA_Y, FAR_CLIP), depth_limit)

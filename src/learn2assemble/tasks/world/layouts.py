@@ -161,7 +161,7 @@ class Problems(NamedTuple):
 
 
 @kernel(inline="always")
-def _cross(ax, az, bx, bz, px, pz):
+def _cross(ax: float, az: float, bx: float, bz: float, px: float, pz: float) -> float:
     return (bx - ax) * (pz - az) - (bz - az) * (px - ax)
 
 
@@ -211,7 +211,7 @@ def leaves_training_box(rng: np.random.Generator, vertices: np.ndarray, count: i
 
 
 @kernel
-def _step_back(position, first, start, stop, apart):
+def _step_back(position: np.ndarray, first: int, start: int, stop: int, apart: float) -> None:
     """Move cells ``start:stop`` in -y until they keep their distance from ``first:start``."""
     clear = False
     while not clear:
@@ -265,7 +265,15 @@ def scatter(rng: np.random.Generator, position: np.ndarray, apart: float) -> boo
 
 
 @kernel
-def _spread(position, object_id, waiting, apart, x, y, num_blocks):
+def _spread(
+    position: np.ndarray,
+    object_id: np.ndarray,
+    waiting: np.ndarray,
+    apart: float,
+    x: float,
+    y: float,
+    num_blocks: int,
+) -> int:
     """First object to (x, y) on the ground, the others to their places; gives its cells."""
     placed = 0
     while placed < num_blocks and object_id[placed] == object_id[0]:
@@ -348,8 +356,8 @@ def sample_problem(
     for draw in range(1, MAX_DRAWS + 1):
         nodes, pixels = 0, 0
         for side in range(sides):
+            outline, count = state.vertices[row, side], 0
             for _ in range(MAX_DRAWS):
-                outline = state.vertices[row, side]
                 count = sample_outline(rng, problems.grid, outline)
                 if not problems.unseen_only or leaves_training_box(rng, outline, count):
                     break

@@ -42,7 +42,7 @@ class Outcomes(NamedTuple):
 
 
 @kernel
-def _verdict(position, object_id, placed, count):
+def _verdict(position: np.ndarray, object_id: np.ndarray, placed: int, count: int) -> int:
     """Static verdict on the object with cells ``position[placed:count]``."""
     # The column rule for cubes holds only where everything that stands is a cube, too.
     single = count == placed + 1
@@ -55,7 +55,17 @@ def _verdict(position, object_id, placed, count):
 
 
 @kernel
-def _cover(state, row, frames, depths, position, placed, count, covered, occluded):
+def _cover(
+    state: State,
+    row: int,
+    frames: np.ndarray,
+    depths: DepthFilter,
+    position: np.ndarray,
+    placed: int,
+    count: int,
+    covered: np.ndarray,
+    occluded: np.ndarray,
+) -> tuple[int, int]:
     """Plane and complete cover with the cells ``position[placed:count]`` added."""
     first, last = state.mask_rows[row, 0], state.mask_rows[row, 1]
     plane, complete = 0, 0
@@ -79,21 +89,21 @@ def _cover(state, row, frames, depths, position, placed, count, covered, occlude
 
 @kernel
 def _try_all(
-    state,
-    actions,
-    count,
-    spec,
-    frames,
-    depths,
-    reward_kind,
-    threshold,
-    reward,
-    terminal,
-    valid,
-    gain,
-    covered,
-    occluded,
-):
+    state: State,
+    actions: np.ndarray,
+    count: np.ndarray,
+    spec: ActionSpec,
+    frames: np.ndarray,
+    depths: DepthFilter,
+    reward_kind: int,
+    threshold: float,
+    reward: np.ndarray,
+    terminal: np.ndarray,
+    valid: np.ndarray,
+    gain: np.ndarray,
+    covered: np.ndarray,
+    occluded: np.ndarray,
+) -> None:
     # The cells of a trial are written behind what stands.
     position = np.empty((state.position.shape[1] + 8, 3))
     for row in range(len(count)):
@@ -101,7 +111,8 @@ def _try_all(
         position[:placed] = state.position[row, :placed]
         for n in range(count[row]):
             unplaced, reference = actions[row, n, 0], actions[row, n, 1]
-            relation, way = divmod(actions[row, n, 2], len(spec.turns))
+            action: int = actions[row, n, 2]
+            relation, way = divmod(action, len(spec.turns))
             x, y, z = target_cell(state, row, reference, relation, spec.pitch)
             if spec.level:
                 z += waiting_level(state.position[row, placed + unplaced, 2])
