@@ -424,7 +424,8 @@ class Balance:
         solver, width = self._solver, self._width
         pulling = self.on(self.pull_bodies, there).astype(float)
         offset = self.pulls @ pulling  # The whole strength is there.
-        points, angles, queue, above = [], [], list(_FIRST), MOST_G
+        points, angles = list[np.ndarray](), list[float]()
+        queue, above = list(_FIRST), MOST_G
         solver.changeColCost(width, -1.0)
         load = self._load_now
         try:
