@@ -61,7 +61,7 @@ def kinds_and_colours(assembly: Assembly) -> list[tuple[str, str]]:
     they are turned; of more sizes than there are colours all are called ``block``.
     """
     sizes = _sizes([block for block in assembly.blocks if not block.kind])
-    found, of_kind = [], {}
+    found, of_kind = list[tuple[str, str]](), dict[str, str]()
     for block in assembly.blocks:
         kind = block.kind or (next(sizes) if sizes else "block")
         colour = "prop" if block.prop else "support" if block.support else colour_words(block)
@@ -74,9 +74,9 @@ def _sizes(blocks: list[Block]) -> Iterator[str] | None:
     """The size of each block, laid down where it leans; None where they are too many."""
     known: dict[bytes, str] = {}
     examples: list[tuple[np.ndarray, str]] = []
-    found = []
+    found = list[str]()
     for block in blocks:
-        key = np.round((block.vertices - block.vertices[0]) / 1e-6).tobytes()
+        key = ((block.vertices - block.vertices[0]) / 1e-6).round().tobytes()
         if key not in known:
             apart = spread(block.vertices)
             same = (
@@ -115,7 +115,7 @@ def laid_down(block: Block) -> np.ndarray:
         return quarter if y > x + 1e-6 else np.eye(3)
     if is_prism(block) or block.kind == POST:
         return np.eye(3)
-    normals = []
+    normals = list[np.ndarray]()
     for face in block.faces:
         corners = block.vertices[list(face)]
         normals.append(np.cross(corners - corners[0], np.roll(corners, -1, 0) - corners[0]).sum(0))
@@ -166,8 +166,8 @@ def sections(block: Block) -> list[Section]:
     bottom, top = float(block.vertices[:, 2].min()), float(block.vertices[:, 2].max())
     if block.is_convex:
         return [Section(bottom, top, shapely.MultiPoint(block.vertices[:, :2]).convex_hull)]
-    mesh = to_manifold(block).to_mesh64()
-    corners = np.asarray(mesh.vert_properties)[np.asarray(mesh.tri_verts), :3]
+    mesh: Any = to_manifold(block).to_mesh64()
+    corners: np.ndarray = np.asarray(mesh.vert_properties)[np.asarray(mesh.tri_verts), :3]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normal, axis=1)
     up, level = normal[:, 2] > _LEVEL * length, np.abs(normal[:, 2]) > (1 - _LEVEL) * length
@@ -180,7 +180,7 @@ def sections(block: Block) -> list[Section]:
     height = corners[:, :, 2].mean(1)
     heights = np.sort(height[level])
     heights = heights[np.concatenate([[True], np.diff(heights) > grid])]
-    found, area = [], shapely.Polygon()
+    found, area = list[Section](), shapely.Polygon()
     for low, high in pairwise(heights.tolist()):
         here = level & (np.abs(height - low) <= grid)
         area = shapely.difference(

@@ -72,7 +72,9 @@ class Block:
     colour: Colour | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.id, str) or not 0 < len(self.id) <= 200:
+        # Files and callers may give anything here.
+        known = isinstance(self.id, str)  # pyright: ignore[reportUnnecessaryIsInstance]
+        if not known or not 0 < len(self.id) <= 200:
             raise InputError("block id", self.id, "a text of 1 to 200 characters")
         where = f"block {self.id!r}"
         if not is_number(self.density, 0, LARGEST) or self.density == 0:
@@ -237,14 +239,15 @@ class Assembly:
             ("not_built", str),
             ("joints", JointOf),
         ):
-            given = getattr(self, name)
-            if not isinstance(given, Sequence) or not all(isinstance(one, kind) for one in given):
+            given: Any = getattr(self, name)
+            listed: object = given  # Callers may give anything.
+            if not isinstance(listed, Sequence) or not all(isinstance(one, kind) for one in given):
                 raise InputError(name, given, f"a list of {kind.__name__}s")
             object.__setattr__(self, name, tuple(given))
         if not 0 < len(self.blocks) <= MAX_BLOCKS:
             raise InputError("blocks", len(self.blocks), f"1 to {MAX_BLOCKS} blocks")
         check_friction(self.friction)
-        if not isinstance(self.joint, Joint):
+        if not isinstance(self.joint, Joint):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise InputError("joint", self.joint, "a Joint")
         index = {block.id: k for k, block in enumerate(self.blocks)}
         if len(index) < len(self.blocks):
@@ -384,7 +387,9 @@ def hull_block(id: str, points: Sequence[Sequence[float]] | np.ndarray, **kwargs
 
 def check_friction(friction: float) -> None:
     """Refuse what is no Coulomb coefficient."""
-    number = isinstance(friction, int | float | np.floating) and not isinstance(friction, bool)
+    kinds = int, float, np.floating  # Callers may give anything.
+    number = isinstance(friction, kinds)  # pyright: ignore[reportUnnecessaryIsInstance]
+    number = number and not isinstance(friction, bool)
     if not number or not 0 <= friction <= 10:
         raise InputError("friction", friction, "a number from 0 to 10")
 

@@ -58,18 +58,23 @@ def box_blocks(boxes: Sequence[BoxFields], lower: np.ndarray, upper: np.ndarray)
     densities = np.array([box.density for box in boxes], float)
     odd |= ~((densities > 0) & (densities <= LARGEST))
     odd |= np.array([not 0 < len(box.id) <= 200 for box in boxes], bool)
-    for number in np.flatnonzero(odd)[:1].tolist():  # Says what is wrong.
+    wrong: list[int] = np.flatnonzero(odd)[:1].tolist()
+    for number in wrong:  # Says what is wrong.
         id_, kind, density, colour = boxes[number]
         low, high = lower[number], upper[number]
         box_block(id_, low.tolist(), high.tolist(), kind=kind, density=density, colour=colour)
     corners = np.where(_BOX_CORNERS, upper[:, None], lower[:, None])
     corners.setflags(write=False)
-    rest = {"faces": _BOX_FACES, "support": False, "prop": False}
-    made = []
+    rest: dict[str, Any] = {"faces": _BOX_FACES, "support": False, "prop": False}
+    made = list[Block]()
     sizes = volumes.tolist(), extents.tolist()
     for box, vertices, middle, volume, extent in zip(boxes, corners, middles, *sizes, strict=True):
         block = object.__new__(Block)
-        known = {"vertices": vertices, "extent": extent, "_moments": (volume, middle)}
+        known: dict[str, Any] = {
+            "vertices": vertices,
+            "extent": extent,
+            "_moments": (volume, middle),
+        }
         block.__dict__.update(box._asdict(), **rest, **known)
         made.append(block)
     return made

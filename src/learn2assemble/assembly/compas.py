@@ -118,8 +118,8 @@ def to_compas(assembly: Assembly) -> dict[str, Any]:
 
 def _compas_mesh(block: Block, place: int) -> dict[str, Any]:
     """A block of compas_assembly; ``place`` is its number in our assembly and that of its node."""
-    vertices = np.round(block.vertices, DIGITS).tolist()
-    data = {
+    vertices: list[list[float]] = block.vertices.round(DIGITS).tolist()
+    data: dict[str, Any] = {
         "attributes": {
             "name": block.id,
             "node": place,
@@ -165,22 +165,26 @@ def _compas_edges(assembly: Assembly, nodes: Sequence[int], ground: int) -> dict
     basis = across(contacts.normal)
     for k, (first, last) in enumerate(pairwise(contacts.start)):
         points = contacts.points[first:last]
-        frame = {"point": points.mean(0), "xaxis": basis[k, 0], "yaxis": basis[k, 1]}
-        interface = {
+        frame: dict[str, np.ndarray] = {
+            "point": points.mean(0),
+            "xaxis": basis[k, 0],
+            "yaxis": basis[k, 1],
+        }
+        interface: dict[str, Any] = {
             "dtype": "compas_assembly.datastructures/Interface",
             "data": {
                 "points": np.round(points, DIGITS).tolist(),
                 "size": float(contacts.area[k]),
                 "frame": {
                     "dtype": "compas.geometry/Frame",
-                    "data": {key: np.round(at, DIGITS).tolist() for key, at in frame.items()},
+                    "data": {key: at.round(DIGITS).tolist() for key, at in frame.items()},
                 },
                 "forces": None,
                 "mesh": None,
             },
         }
-        a = ground if contacts.a[k] == GROUND else nodes[contacts.a[k]]
-        edge = edges[str(a)].setdefault(str(nodes[contacts.b[k]]), {"interfaces": []})
+        a = ground if contacts.a[k] == GROUND else nodes[int(contacts.a[k])]
+        edge = edges[str(a)].setdefault(str(nodes[int(contacts.b[k])]), {"interfaces": []})
         edge["interfaces"].append(interface)
     return edges
 
@@ -260,7 +264,7 @@ class _CompasMesh(NamedTuple):
             for k, at in vertex.items()
         ]
         order = {label: k for k, label in enumerate(vertex)}
-        faces = []
+        faces = list[tuple[int, ...]]()
         for label, face in mapping(self.mesh.get("face"), f"{where}: face").items():
             corners = sequence(face, f"{where}: face {label!r}", "a list of vertices")
             unknown = [k for k in corners if str(k) not in order]

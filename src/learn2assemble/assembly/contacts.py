@@ -19,6 +19,8 @@ from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.parts import check_simple, to_manifold
 from learn2assemble.errors import InputError
 
+_library: Any = shapely
+"""Decorated functions without types."""
 GROUND = -1
 TOLERANCE = 5e-3
 """Width of a gap that counts as contact, in the edge of a cube as large as the smaller block."""
@@ -100,13 +102,13 @@ def shrunk(contacts: Contacts, distance: float) -> Contacts:
     flat = np.einsum("kij,kj->ki", basis[contacts.patch], contacts.points - foot[contacts.patch])
     shapes = shapely.polygons(shapely.linearrings(flat, indices=contacts.patch))
     shapes = np.asarray(shapely.buffer(shapes, -distance, join_style="mitre")).reshape(-1)
-    left = np.flatnonzero(shapely.area(shapes) > 0)
+    left = np.flatnonzero(_library.area(shapes) > 0)
     # The first corner of a ring is its last, too.
     rings = [shapely.get_coordinates(shapes[k])[:-1] for k in left]
     patch = np.repeat(np.arange(len(left)), [len(ring) for ring in rings])
     corners = np.concatenate([*rings, np.empty((0, 2))])
     points = foot[left][patch] + np.einsum("kji,kj->ki", basis[left][patch], corners)
-    area = shapely.area(shapes[left])
+    area = _library.area(shapes[left])
     a, b, normal, spread = contacts.a, contacts.b, contacts.normal, contacts.spread
     return Contacts(a[left], b[left], normal[left], area, points, patch, spread[left])
 
@@ -257,7 +259,8 @@ def check_overlaps(assembly: Assembly, tolerance: float | None = None) -> None:
     first = np.searchsorted(facets.block, np.arange(len(blocks) + 1))
     warp = np.maximum.reduceat(facets.warp, first[:-1])
     solids: dict[int, Any] = {}
-    for i, j in near_pairs(lower, upper, -float(width.min())).tolist():
+    pairs: list[list[int]] = near_pairs(lower, upper, -float(width.min())).tolist()
+    for i, j in pairs:
         depth = float(min(width[i], width[j]))
         if any(
             _separates(facets, slice(first[p], first[p + 1]), blocks[p], blocks[q], depth)
@@ -344,7 +347,7 @@ def _opposite(
     most = max(1, int(count.max(initial=1)) ** 2)
     found: list[tuple[np.ndarray, np.ndarray]] = []
     for chunk in np.array_split(pairs, max(1, -(-len(pairs) * most // _MOST_PAIRS))):
-        near = []
+        near = list[tuple[np.ndarray, np.ndarray, np.ndarray]]()
         for side, other in ((chunk[:, 0], chunk[:, 1]), (chunk[:, 1], chunk[:, 0])):
             face, pair = _ranges(begin[side], count[side])
             box, wide = other[pair], facets.width[face]
@@ -407,10 +410,10 @@ def _patches(facets: _Facets, first: np.ndarray, second: np.ndarray) -> Contacts
     shapes = shapely.intersection(
         _polygons(facets, first, basis, foot), _polygons(facets, second, basis, foot)
     )
-    area = shapely.area(shapes)
+    area = _library.area(shapes)
     # Twice the area over the perimeter is the width of a strip.
     width = np.minimum(facets.width[first], facets.width[second])
-    wide = 2 * area > width * shapely.length(shapes)
+    wide = 2 * area > width * _library.length(shapes)
     shapes, area, width = shapes[wide], area[wide], width[wide]
     normal, foot, basis = normal[wide], foot[wide], basis[wide]
     block_a, block_b = facets.block[first[wide]], facets.block[second[wide]]

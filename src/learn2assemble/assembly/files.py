@@ -170,8 +170,9 @@ def from_json(document: Any, source: str = "assembly") -> Assembly:
     Raises:
         InputError: with the path of what is wrong; unknown keys are refused.
     """
-    blocks = mapping(document, source).get("blocks")
-    if isinstance(blocks, list):
+    blocks: Any = mapping(document, source).get("blocks")
+    listed: object = blocks
+    if isinstance(listed, list):
         check_count(len(blocks), source)
     return read_document(Assembly, document, source, FORMAT, VERSION)[0]
 
@@ -251,9 +252,9 @@ def _mesh_blocks(
     if kind == "obj" and not any(line[:2] == b"v " for line in content.splitlines()):
         got = "an unknown format" if content.strip() else "an empty file"
         raise InputError(source, got, "JSON or a mesh (STL, OBJ, PLY, OFF, GLB)")
-    objects = []
+    objects = list[tuple[str, np.ndarray, list[list[int]]]]()
     for part in read_parts(content, kind, source):
-        mesh = trimesh.Trimesh(part.vertices, part.faces, process=False)
+        mesh: Any = trimesh.Trimesh(part.vertices, part.faces, process=False)
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
         objects.append((part.name, np.asarray(mesh.vertices), mesh.faces.tolist()))
     check_count(len(objects), source)

@@ -192,7 +192,7 @@ _WAYS = {
 def before_words(placement: Placement) -> str:
     """What is said of a step before which mortar has to hold, and of one that a person does while
     an arm waits; empty of any other."""
-    words = []
+    words = list[str]()
     if placement.wait is not None:
         words.append(f"Wait {placement.wait:g} h first, until the mortar holds.")
     if placement.by_hand:

@@ -209,7 +209,7 @@ def _groups(assembly: Assembly, placements: list[Placement], floor: float) -> li
     for height in np.sort(heights[[p.block for p in placements]]).tolist():
         if not layers or height > layers[-1] + 1e-4:
             layers.append(height)
-    found, seen, held = [], set(), frozenset[int]()
+    found, seen, held = list[Group](), set[int](), frozenset[int]()
     for number, members in enumerate(_together(assembly, placements, heights), 1):
         for p in members:
             held = held ^ {p.block} if p.action in HANDS else held
@@ -217,7 +217,7 @@ def _groups(assembly: Assembly, placements: list[Placement], floor: float) -> li
         height = float(heights[group.main.block])
         layer = int(np.searchsorted(np.array(layers) - 1e-9, height, side="right"))
         first = layer not in seen and group.main.action == "place"
-        seen |= {layer} if first else set()
+        seen |= {layer} if first else set[int]()
         found.append(replace(group, layer=layer, level=height, first=first))
     return found
 
@@ -274,14 +274,15 @@ def _carried_straight_down(assembly: Assembly) -> np.ndarray:
     floor = min(0.0, float(low.min())) if abs(low.min()) > 1e-6 else float(low.min())
     tree = shapely.STRtree(areas)
     filled = np.zeros(len(areas), bool)
-    for k in np.argsort(low, kind="stable").tolist():
+    order: list[int] = np.argsort(low, kind="stable").tolist()
+    for k in order:
         block = assembly.blocks[k]
         if not prisms[k] or block.prop:
             continue
         if block.support or abs(low[k] - floor) <= 1e-5:
             filled[k] = True
             continue
-        below = [
+        below: list[int] = [
             j for j in tree.query(areas[k]).tolist() if filled[j] and abs(high[j] - low[k]) <= 1e-5
         ]
         carried = sum(areas[k].intersection(areas[j]).area for j in below)

@@ -98,8 +98,12 @@ class JointOf:
 
 def joint_to_json(joint: Joint) -> dict[str, Any]:
     """The law as an object of a file; what does not matter for it is left out."""
-    values = {name: getattr(joint, name) for name in _OF_LAW[joint.law]}
-    return {"law": joint.law, **{k: list(v) if type(v) is tuple else v for k, v in values.items()}}
+    found: dict[str, Any] = {"law": joint.law}
+    for name in _OF_LAW[joint.law]:
+        value: Any = getattr(joint, name)
+        given: object = value
+        found[name] = list(value) if type(given) is tuple else value
+    return found
 
 
 def joint_of_json(value: Any, where: str, **defaults: Any) -> Joint:
@@ -128,12 +132,13 @@ def joint_of_json(value: Any, where: str, **defaults: Any) -> Joint:
 
 def joints_of_json(rows: Any, where: str) -> tuple[JointOf, ...]:
     """The laws of single joints, see :class:`JointOf`."""
-    made = []
+    made = list[JointOf]()
     for number, row in enumerate(sequence(rows, where, "a list of laws of joints")):
         at = f"{where}[{number}]"
         given = dict(mapping(row, at))
         kind, pair = given.pop("kind", ""), given.pop("blocks", None)
-        named = isinstance(pair, list) and len(pair) == 2 and all(type(p) is str for p in pair)
+        listed: object = pair
+        named = isinstance(listed, list) and len(pair) == 2 and all(type(p) is str for p in pair)
         if not (named if kind == "" else type(kind) is str and pair is None):
             raise InputError(at, sorted(mapping(row, at)), "a 'kind', or 'blocks' with two ids")
         joint = joint_of_json(given, at)

@@ -220,7 +220,7 @@ def orientations(kit: Kit) -> tuple[Orientation, ...]:
     """
     dx, dy, dz = kit.pitch
     square, cubic = math.isclose(dx, dy), math.isclose(dx, dy) and math.isclose(dx, dz)
-    found = []
+    found = list[Orientation]()
     for index, kind in enumerate(kit.kinds):
         seen: set[tuple[Cell, ...]] = set()
         for turn in range({"none": 1, "z": 4, "any": 24}[kind.turns]):
@@ -360,7 +360,8 @@ def _checked(listed: tuple[Cell, ...], where: str) -> tuple[Cell, ...]:
 
 def parts_of(mask: np.ndarray) -> list[np.ndarray]:
     """bool[...] each: parts of ``mask`` that hang together by faces (edges) of cells."""
-    from scipy.ndimage import label
+    from scipy import ndimage  # pyright: ignore[reportMissingTypeStubs]
 
-    labels, count = label(mask)  # pyright: ignore[reportGeneralTypeIssues]
+    library: Any = ndimage
+    labels, count = library.label(mask)
     return [labels == number for number in range(1, count + 1)]

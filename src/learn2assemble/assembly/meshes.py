@@ -61,6 +61,7 @@ def read_parts(content: bytes, kind: str, source: str) -> list[MeshPart]:
     """
     import trimesh
 
+    library: Any = trimesh
     check_size(content, source)
     _promises(content, kind, source)
     if kind == "glb":
@@ -73,8 +74,8 @@ def read_parts(content: bytes, kind: str, source: str) -> list[MeshPart]:
     with trusted(source, expected, f" as {kind.upper()}"), np.errstate(all="ignore"):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, **options)
-        parts = []
+            scene = library.load_scene(io.BytesIO(content), file_type=kind, **options)
+        parts = list[MeshPart]()
         for node in scene.graph.nodes_geometry:
             transform, name = scene.graph[node]
             mesh = scene.geometry[name]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -132,11 +132,12 @@ def _triangulate(vertices: np.ndarray, face: tuple[int, ...]) -> list[tuple[int,
         return [(face[0], face[k], face[k + 1]) for k in range(1, len(face) - 1)]
     import manifold3d
 
+    library: Any = manifold3d
     axis = int(np.argmax(np.abs(normal)))
     u, v = (axis + 1) % 3, (axis + 2) % 3
     flat = corners[:, [u, v] if normal[axis] > 0 else [v, u]]
     # Mirrored coordinates of a face that looks down keep it counter-clockwise.
-    return [(face[a], face[b], face[c]) for a, b, c in manifold3d.triangulate([flat]).tolist()]
+    return [(face[a], face[b], face[c]) for a, b, c in library.triangulate([flat]).tolist()]
 
 
 def _cut(shell: Block, most: int) -> list[Block]:
@@ -146,7 +147,7 @@ def _cut(shell: Block, most: int) -> list[Block]:
     rounding leaves beside a cut, are dropped.
     """
     sliver = FLAT * shell.volume
-    left, done = [to_manifold(shell)], []
+    left, done = [to_manifold(shell)], list[Block]()
     while left:
         solid = left.pop()
         hull = solid.hull()
@@ -160,7 +161,7 @@ def _cut(shell: Block, most: int) -> list[Block]:
     return done
 
 
-def _split(solid, sliver: float) -> list:
+def _split(solid: manifold3d.Manifold, sliver: float) -> list[manifold3d.Manifold]:
     """The solid cut by the plane of the face over which it stands farthest out."""
     points, triangles = _arrays(solid.to_mesh64())
     corners = points[triangles]
@@ -179,11 +180,13 @@ def _split(solid, sliver: float) -> list:
     return [core.hull()]
 
 
-def _arrays(mesh) -> tuple[np.ndarray, np.ndarray]:
-    return np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts)
+def _arrays(mesh: manifold3d.Mesh64) -> tuple[np.ndarray, np.ndarray]:
+    fields: Any = mesh
+    return np.asarray(fields.vert_properties)[:, :3], np.asarray(fields.tri_verts)
 
 
-def _from_mesh(block: Block, mesh) -> Block:
+def _from_mesh(block: Block, mesh: manifold3d.Mesh64) -> Block:
     """A block of the same kind with another surface."""
     points, triangles = _arrays(mesh)
-    return replace(block, vertices=points, faces=tuple(map(tuple, triangles.tolist())))
+    rows: list[list[int]] = triangles.tolist()
+    return replace(block, vertices=points, faces=tuple(map(tuple, rows)))

@@ -9,7 +9,7 @@ tolerance of it, projected on it and intersected, is the patch: a point, a line 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -20,6 +20,8 @@ from learn2assemble.assembly.blocks import Block
 from learn2assemble.assembly.parts import convex_parts
 from learn2assemble.geometry.hulls import area_vector
 
+_library: Any = shapely
+"""Decorated functions without types."""
 LOOSE = 2.0
 """Widest gap and deepest overlap of such a contact, in those of two faces: poses that were measured
 or that a simulation settled leave bodies that touch at a point farther apart than faces."""
@@ -58,8 +60,9 @@ def between(blocks: Sequence[Block], pairs: np.ndarray, width: np.ndarray) -> li
         width: float64[B], the tolerance of each block [m]; the smaller one of a pair counts.
     """
     bodies: dict[int, list[_PointSolid]] = {}
-    found = []
-    for a, b in pairs.tolist():
+    found = list[PointPatch]()
+    listed: list[list[int]] = pairs.tolist()
+    for a, b in listed:
         for k in (a, b):
             if k not in bodies:
                 block = blocks[k]
@@ -75,8 +78,9 @@ def between(blocks: Sequence[Block], pairs: np.ndarray, width: np.ndarray) -> li
 
 def on_ground(blocks: Sequence[Block], indices: np.ndarray, width: np.ndarray) -> list[PointPatch]:
     """Contacts of the blocks with these indices with the plane z = 0."""
-    found = []
-    for k in indices.tolist():
+    found = list[PointPatch]()
+    listed: list[int] = indices.tolist()
+    for k in listed:
         vertices = blocks[k].vertices
         low = vertices[np.abs(vertices[:, 2]) <= width[k]]
         if len(low):
@@ -90,7 +94,7 @@ def on_ground(blocks: Sequence[Block], indices: np.ndarray, width: np.ndarray) -
 def _body(block: Block) -> _PointSolid:
     xyz = block.vertices
     centre = xyz.mean(0)
-    normals, edges = [], []
+    normals, edges = list[np.ndarray](), list[tuple[int, int]]()
     for face in block.faces:
         corners = xyz[list(face)]
         normal = area_vector(corners)
@@ -140,10 +144,10 @@ def _touch(
     right = _hull(two.vertices[near_two <= bottom + width] @ basis.T)
     shared = shapely.intersection(left, right)
     if shared.is_empty:
-        line = shapely.shortest_line(left, right)
-        if np.hypot(shapely.length(line), max(bottom - top, 0.0)) > width:
+        line = _library.shortest_line(left, right)
+        if np.hypot(_library.length(line), max(bottom - top, 0.0)) > width:
             return None
-        shared = shapely.centroid(line)
+        shared = _library.centroid(line)
     flat = _corners(shared.convex_hull)
     points = flat @ basis + (top + bottom) / 2 * normal
     middle, spread = middle_of(axes[apart > apart[best] - width / 2])

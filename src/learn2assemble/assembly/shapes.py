@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -110,14 +110,14 @@ class Shapes:
         self.origin = origin
         self.joint = joint
         self.found: list[BlockShape] = []
-        self._like: dict[tuple, list[tuple[BlockShape, np.ndarray]]] = {}
+        self._like: dict[tuple[str, str, int], list[tuple[BlockShape, np.ndarray]]] = {}
         self._of: dict[str, _Match] = {}
-        self._known: dict[tuple, _Match] = {}
+        self._known: dict[tuple[str, str, tuple[tuple[int, ...], ...], bytes], _Match] = {}
 
     def add(self, block: Block, kind: str, colour: str) -> None:
         """Find the shape and the turn of a block."""
         points = block.vertices - block.vertices.min(0)
-        as_given = (kind, colour, block.faces, np.round(points / _FINE).tobytes())
+        as_given = (kind, colour, block.faces, (points / _FINE).round().tobytes())
         if as_given not in self._known:
             self._known[as_given] = self._match(block, kind, colour)
         self._of[block.id] = self._known[as_given]
@@ -190,7 +190,7 @@ def _turned(shape: BlockShape, block: Block) -> _Match | None:
         turned = shape.corners @ rotation(turn).T
         if _apart(turned - turned.min(0), points) <= _GRAIN:
             return _Match(shape, turn, None)
-    found = []
+    found = list[tuple[float, Turn, int | None]]()
     for first, turning in _alignments(shape, block):
         turn = _angles(turning)
         leans = any(angle % 90 for angle in turn)
@@ -203,9 +203,11 @@ def _turned(shape: BlockShape, block: Block) -> _Match | None:
 
 def _apart(some: np.ndarray, others: np.ndarray) -> float:
     """The largest distance of a point of either set from the nearest of the other [m]."""
-    from scipy.spatial import KDTree
+    from scipy import spatial  # pyright: ignore[reportMissingTypeStubs]
 
-    there, back = KDTree(others).query(some)[0], KDTree(some).query(others)[0]
+    library: Any = spatial
+    there = library.KDTree(others).query(some)[0]
+    back = library.KDTree(some).query(others)[0]
     return float(max(there.max(), back.max()))
 
 

@@ -36,6 +36,7 @@ def coordinates(rows: Any, where: str) -> np.ndarray:
 
 def any_colour(value: Any) -> tuple[int, int, int] | None:
     """A colour where it is one; files of others may hold anything there."""
-    if isinstance(value, list) and len(value) == 3 and all(type(k) is int for k in value):
+    given: object = value
+    if isinstance(given, list) and len(value) == 3 and all(type(k) is int for k in value):
         return (value[0], value[1], value[2])
     return None

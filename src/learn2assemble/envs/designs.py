@@ -13,8 +13,9 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from learn2assemble.errors import InputError, is_whole
+from learn2assemble.planning.goals.loads import bears
 from learn2assemble.planning.goals.search import Search
-from learn2assemble.planning.goals.world import GoalProblem, bears, legal, make_problem, put, relax
+from learn2assemble.planning.goals.world import GoalProblem, legal, make_problem, put, relax
 from learn2assemble.planning.tiling.world import LatticeWorld
 from learn2assemble.tasks import design_features, goal_features
 from learn2assemble.tasks.designs import Solved, make_design

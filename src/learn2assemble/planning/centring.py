@@ -86,7 +86,7 @@ def find_centring(
         The one that carries the most blocks first, then always the one that carries the most
         others.
     """
-    left = list(_boards(PostSite(blocks, contacts, ground), ground))
+    left: list[_Board] = list(_boards(PostSite(blocks, contacts, ground), ground))
     carried: set[int] = set()
     found: list[Post] = []
     while left:
@@ -139,7 +139,8 @@ def _board(site: PostSite, k: int, face: Face, strip: _Strip, ground: float) -> 
     profile = _clipped(profile, seed, strip.seen(face.normal[None])[0])
     # From near to far: what is cut off for the nearest blocks meets few others.
     middle = (site.lower + site.upper) @ np.append(strip.along, 0.0) / 2
-    for n in np.argsort(np.abs(middle - seed[0])).tolist():
+    order: list[int] = np.argsort(np.abs(middle - seed[0])).tolist()
+    for n in order:
         points = site.blocks[n].vertices
         across = points[:, :2] @ strip.side
         if n == k or across.max() < strip.low + depth or across.min() > strip.high - depth:
@@ -192,7 +193,7 @@ def _beside(
 def _clipped(profile: np.ndarray, foot: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """float64[k, 2]: what of a convex outline float64[n, 2] lies where the normal points."""
     side = (profile - foot) @ normal
-    kept = []
+    kept = list[np.ndarray]()
     for k, (here, after) in enumerate(zip(side, np.roll(side, -1), strict=True)):
         if here >= 0:
             kept.append(profile[k])

@@ -87,11 +87,12 @@ def merged(old: Assembly, new: Assembly) -> tuple[tuple[Block, ...], np.ndarray,
     at = np.array([block.centroid for block in old.blocks])
     same: dict[int, int] = {}
     for n, block in enumerate(new.blocks):
-        for o in np.flatnonzero(np.abs(at - block.centroid).max(1) <= width[n]).tolist():
+        near: list[int] = np.flatnonzero(np.abs(at - block.centroid).max(1) <= width[n]).tolist()
+        for o in near:
             if o not in same and _same(old.blocks[o], block, float(width[n])):
                 same[o] = n
                 break
-    taken, fresh = {block.id for block in old.blocks}, []
+    taken, fresh = {block.id for block in old.blocks}, list[Block]()
     for n in sorted(set(range(len(new.blocks))) - set(same.values())):
         name = new.blocks[n].id
         while name in taken:
@@ -120,8 +121,9 @@ def overlapping(blocks: Sequence[Block]) -> list[frozenset[int]]:
     lower = np.array([block.vertices.min(0) for block in blocks])
     upper = np.array([block.vertices.max(0) for block in blocks])
     parts = [parts_of(block) for block in blocks]
-    found: list[set[int]] = [set() for _ in blocks]
-    for a, b in near_pairs(lower, upper, 0.0).tolist():
+    found: list[set[int]] = [set[int]() for _ in blocks]
+    pairs: list[list[int]] = near_pairs(lower, upper, 0.0).tolist()
+    for a, b in pairs:
         if overlap(parts[a], parts[b], depth):
             found[a].add(b)
             found[b].add(a)
@@ -140,7 +142,7 @@ def lying_on(below: Sequence[Iterable[int]]) -> list[frozenset[int]]:
     above: list[set[int]] = [set() for _ in below]
     if pairs:
         rows, columns = np.array(pairs).T
-        graph = sparse.csr_array((np.ones(len(pairs)), (rows, columns)), (len(below),) * 2)
+        graph = sparse.csr_array((np.ones(len(pairs)), (rows, columns)), (len(below), len(below)))
         ring = sparse.csgraph.connected_components(graph, connection="strong")[1]
         for upper, lower in pairs:
             if ring[upper] != ring[lower]:
@@ -167,7 +169,7 @@ def _shape(block: Block) -> tuple[float, ...]:
     apart = np.linalg.norm(points[:, None] - points[None], axis=2)
     spread = np.sort(np.concatenate([np.linalg.norm(points, axis=1), apart.sum(1)]))
     unit = 10.0 ** (np.floor(np.log10(size)) - 3)
-    return tuple(np.round(spread / unit).tolist())
+    return tuple((spread / unit).round().tolist())
 
 
 def _check_kinds(old: Sequence[Block], new: Sequence[Block]) -> None:

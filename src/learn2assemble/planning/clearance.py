@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -98,7 +98,7 @@ class Clearance:
             steps = np.arange(1, int(_STEPS * reach / size) + 1) / _STEPS * size
             hit = np.flatnonzero(self._hits(block, way * steps[:, None], others))
             free = int(hit[0]) if len(hit) else len(steps)
-            turns = {int(k) for k in np.geomspace(1, max(free, 1), _TURNS)} if free else set()
+            turns = {int(k) for k in np.geomspace(1, max(free, 1), _TURNS)} if free else set[int]()
             for k in sorted(turns):
                 offset = way * steps[k - 1]
                 if any(self._out(block, second, others, offset) for second in _SECOND):
@@ -144,6 +144,15 @@ class Clearance:
             np.array([np.cumsum([0, *(len(part[k]) for part in every)]) for k in range(3)]),
             np.cumsum([0, *map(len, parts)]),
         )
+
+
+class Ways(Protocol):
+    """Room to move."""
+
+    def free(self, block: int, present: np.ndarray) -> bool:
+        """Whether a block can come to its place, or leave it, among the ``present`` ones
+        (bool[B])."""
+        ...
 
 
 class FreeWays:
@@ -233,14 +242,23 @@ def _part(block: Block) -> _ConvexSolid:
 def _directions(vectors: np.ndarray) -> np.ndarray:
     """Unit vectors along those that are not zero, one of each two that are opposite."""
     length = np.linalg.norm(vectors, axis=1)
-    unit = vectors[length > 1e-12] / length[length > 1e-12, None]
+    unit: np.ndarray = vectors[length > 1e-12] / length[length > 1e-12, None]
     first = np.argmax(np.abs(unit) > 1e-6, axis=1)
     unit = unit * np.sign(unit[np.arange(len(unit)), first])[:, None]
     return np.ascontiguousarray(np.unique(unit.round(9), axis=0))
 
 
 @kernel
-def _deep(points, normals, edges, points2, normals2, edges2, moves, depth):
+def _deep(
+    points: np.ndarray,
+    normals: np.ndarray,
+    edges: np.ndarray,
+    points2: np.ndarray,
+    normals2: np.ndarray,
+    edges2: np.ndarray,
+    moves: np.ndarray,
+    depth: float,
+) -> np.ndarray:
     """bool[n]: whether the first part, moved by each of float64[n, 3], overlaps the second.
 
     The axes are those of the separating axis theorem: normals of faces, and cross products of
@@ -282,7 +300,16 @@ def _deep(points, normals, edges, points2, normals2, edges2, moves, depth):
 
 
 @kernel
-def _hits(block, lower, upper, others, moves, solids, depth, any_one):
+def _hits(
+    block: int,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    others: np.ndarray,
+    moves: np.ndarray,
+    solids: _Solids,
+    depth: float,
+    any_one: bool,
+) -> np.ndarray:
     """bool[n], see :meth:`Clearance._hits`: what is apart along x, y or z is apart, and only what
     is not is told apart by its faces and edges.
 
@@ -339,7 +366,14 @@ def _hits(block, lower, upper, others, moves, solids, depth, any_one):
 
 
 @kernel
-def _way_out(block, lower, upper, others, way, offset):
+def _way_out(
+    block: int,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    others: np.ndarray,
+    way: np.ndarray,
+    offset: np.ndarray,
+) -> float:
     """How far along a unit vector a block is from an offset on until it is beyond all others."""
     length = np.inf
     for c in range(3):

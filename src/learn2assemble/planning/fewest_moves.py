@@ -77,14 +77,14 @@ def _most_direct(
     ascending, were placed."""
     model, kind = Model(), change.kind
     before = change.first_gone(coming, frozenset(going))
-    taken, placed = [], []
+    taken, placed = list[np.ndarray](), list[np.ndarray]()
     # Pairs of columns of which the first is not above the second.
     pairs: list[tuple[int, int]] = []
     for moment, number in enumerate(numbers):
         taken.append(model.columns(np.zeros(len(going)), 1.0, integer=True))
         placed.append(model.columns(np.zeros(len(coming)), 1.0, integer=True))
-        column = dict(zip(going, taken[-1].tolist(), strict=True))
-        other = dict(zip(coming, placed[-1].tolist(), strict=True))
+        column: dict[int, int] = dict(zip(going, taken[-1].tolist(), strict=True))
+        other: dict[int, int] = dict(zip(coming, placed[-1].tolist(), strict=True))
         pairs += [(column[o], column[a]) for o in going for a in change.above[o] if a in column]
         pairs += [(other[a], other[n]) for n in coming for a in change.above[n] if a in other]
         pairs += [(other[n], column[o]) for n in coming for o in before[n]]

@@ -14,14 +14,14 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations, islice
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from learn2assemble.planning.clearance import Ways
 from learn2assemble.planning.crew import ANYHOW, Anybody, Bringing, Crew
 from learn2assemble.planning.posts import Post
-from learn2assemble.planning.sequence import WAIT, Doing, FoundOrder, Transition
+from learn2assemble.planning.sequence import WAIT, Doing, FoundOrder, Transition, let_go
 from learn2assemble.statics.laws import Law
 from learn2assemble.statics.states import State
 
@@ -33,15 +33,6 @@ ANY_GRIPS = 10_000
 """More than there are."""
 _NEAREST = 8
 """Posts that are looked at for that."""
-
-
-class Ways(Protocol):
-    """Room to move."""
-
-    def free(self, block: int, present: np.ndarray) -> bool:
-        """Whether a block can come to its place, or leave it, among the ``present`` ones
-        (bool[B])."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +129,7 @@ class Forward:
 
         Those that could not be taken away then, or that do not stand alone, are left out.
         """
-        self._staying, state, steps = len(self.site.fixed), self.start, []
+        self._staying, state, steps = len(self.site.fixed), self.start, list[Doing]()
         for p in range(self.count, self._staying):
             after = state.change(place=[p])
             free = not self._encloses(p) and self.site.ways.free(p, state.present)
@@ -222,9 +213,9 @@ class Forward:
         gone, order, there, below = last.gone, self._order, last.state.present, self.site.below
         left = order[~there[order]]
         if self.site.onward and [step.action for step in last.steps] == ["place"]:
-            turn = np.searchsorted(self.site.rank[left], self.site.rank[last.steps[0].block])
+            turn = np.searchsorted(self.site.rank[left], int(self.site.rank[last.steps[0].block]))
             left = np.concatenate([left[turn:], left[:turn]])
-        some = [b for b in left.tolist() if b not in gone]
+        some: list[int] = [b for b in left.tolist() if b not in gone]
         ringed = True
         for b in some:
             if all(there[k] or k in gone for k in below[b]):
@@ -236,7 +227,8 @@ class Forward:
 
     def moves(self, last: Transition) -> Iterator[Transition]:
         """What may come next, the least help first."""
-        state, ready, waiting, closing = last.state, [], [], []
+        state, ready, closing = last.state, list[int](), list[int]()
+        waiting = list[tuple[int, list[int]]]()
         if self._staying > self.count and not self.missing(state)[0]:
             yield from self._clearing(last)
         for b in self.ready(last):
@@ -336,7 +328,7 @@ class Forward:
                         if self.stands(after, gone):
                             self._gripped[kind] += 1
                             steps = [Doing("place", b, None, arm), hold]
-                            steps += [_let_go(h, taken) for h in gone]
+                            steps += [let_go(h, taken) for h in gone]
                             yield Transition(tuple(steps), after, last.gone)
                             break
 
@@ -369,7 +361,7 @@ class Forward:
             most: as of :meth:`law`.
             again: look at what failed among the same neighbours, else at the rest alone.
         """
-        state, steps = last.state, []
+        state, steps = last.state, list[Doing]()
         key = block, posts, most, state.near(self.site.near[block])
         if self.allowed and (key in self._failed) != again:
             return
@@ -420,7 +412,7 @@ class Forward:
             for b in np.flatnonzero(state.held).tolist():
                 after = state.change(release=[b])
                 if self.stands(after, [b]):
-                    steps.append(_let_go(b, state))
+                    steps.append(let_go(b, state))
                     state, again = after, True
             taken, state = self._taken(state, some, False)
             if last and not taken:
@@ -438,7 +430,7 @@ class Forward:
             sure: look at everything that could carry the rest, not only at what is near, until one
                 has gone.
         """
-        steps = []
+        steps = list[Doing]()
         there = np.flatnonzero(state.present & some).tolist()
         for p in sorted(there, key=lambda p: -self.site.rank[p]):
             key = p, b"" if sure else state.near(self._wide(p))
@@ -478,11 +470,8 @@ class Forward:
         open_ = state.present & ~self.site.prop
         found = [p for p in there if not self.site.ways.free(p, open_)]
         for p in found:
-            found += [
-                n
-                for n in self.site.near[p]
-                if props[n] and n not in found and p in self.site.below[n]
-            ]
+            beside = [n for n in self.site.near[p] if props[n] and n not in found]
+            found += [n for n in beside if p in self.site.below[n]]
         return found
 
     def _encloses(self, prop: int) -> bool:
@@ -494,7 +483,7 @@ class Forward:
     def _freeing(self, last: Transition, block: int, walled: list[int]) -> Iterator[Transition]:
         """A block that comes after the props have gone that it would wall in, or these steps alone
         where that is not all."""
-        state, steps, some = last.state, [], np.zeros_like(self.site.prop)
+        state, steps, some = last.state, list[Doing](), np.zeros_like(self.site.prop)
         some[walled] = True
         taken = [Doing("remove", walled[0])]
         while taken:
@@ -508,9 +497,3 @@ class Forward:
             for step in self._comes(block, state):
                 steps, state = [*steps, step], after
         yield Transition(tuple(steps), state, gone)
-
-
-def _let_go(block: int, state: State) -> Doing:
-    """The step in which the hand that holds a block lets it go."""
-    hand = state.hands.get(block)
-    return Doing("release", block, None, hand.name or None if hand is not None else None)

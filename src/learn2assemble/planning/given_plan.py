@@ -10,7 +10,7 @@ import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep
 from learn2assemble.planning import plan as plans
-from learn2assemble.planning.plan import Plan, PlanDesign
+from learn2assemble.planning.plan import Plan, PlanDesign, Step
 from learn2assemble.planning.sequence import Sequenced
 
 
@@ -38,7 +38,7 @@ def plan_of(
     if wanted is None:
         wanted = ~support & ~np.array([block.prop for block in found.blocks])
     present = (support if before is None else before).copy()
-    steps, made = [], []
+    steps, made = list[Step](), list[AssemblyStep]()
     for number, step in enumerate(found.steps, 1):
         block = found.blocks[step.block]
         if step.action in ("place", "remove"):

@@ -176,7 +176,8 @@ class _DryOrder:
         made = _distinct(given, [post.block for post in posts])
         whole = Assembly((*given, *made), friction=problem.assembly.friction)
         self.blocks, self.count = whole.blocks, count
-        self.clock, self.progress = clock, progress
+        self.clock = clock
+        self.progress: Progress = progress
         if posts:
             own = find_contacts(whole)
             own = own.only((own.b >= count) & (own.a < count))
@@ -290,7 +291,7 @@ def site_of(
 def _distinct(blocks: Sequence[Block], more: Sequence[Block]) -> list[Block]:
     """The blocks ``more`` with ids that no other has."""
     ids = {block.id for block in blocks}
-    made = []
+    made = list[Block]()
     for block in more:
         name = block.id
         while name in ids:
@@ -306,8 +307,9 @@ def _joined(contacts: Contacts, more: Contacts) -> Contacts:
 
 
 def _neighbours(contacts: Contacts, count: int) -> list[list[int]]:
-    near: list[set[int]] = [set() for _ in range(count)]
-    for a, b in zip(contacts.a.tolist(), contacts.b.tolist(), strict=True):
+    near: list[set[int]] = [set[int]() for _ in range(count)]
+    pairs: list[list[int]] = np.column_stack([contacts.a, contacts.b]).tolist()
+    for a, b in pairs:
         if a >= 0:
             near[a].add(b)
             near[b].add(a)
@@ -316,8 +318,9 @@ def _neighbours(contacts: Contacts, count: int) -> list[list[int]]:
 
 def _lies_on(contacts: Contacts, count: int, fixed: np.ndarray) -> list[list[int]]:
     """The blocks, supports aside, that each block lies on."""
-    below: list[set[int]] = [set() for _ in range(count)]
-    for a, b, normal in zip(contacts.a.tolist(), contacts.b.tolist(), contacts.normal, strict=True):
+    below: list[set[int]] = [set[int]() for _ in range(count)]
+    pairs: list[list[int]] = np.column_stack([contacts.a, contacts.b]).tolist()
+    for (a, b), normal in zip(pairs, contacts.normal, strict=True):
         if a >= 0 and b < count and abs(normal[2]) > SIDE:
             lower, upper = (a, b) if normal[2] > 0 else (b, a)
             if not fixed[lower]:
@@ -392,7 +395,7 @@ class BrickOrder:
             return None, None
         rules = TakingApart(self.assembly, self.law, supports)
         index = {block.id: k for k, block in enumerate(self.blocks)}
-        state, made = rules.ground, []
+        state, made = rules.ground, list[Doing]()
         for number, step in enumerate(steps, 1):
             done = rules.follow(state, step, index.get(step.block))
             if isinstance(done, str):

@@ -8,7 +8,7 @@ and to those of the neighbours it would reach into. It is a block like others, m
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -21,6 +21,8 @@ from learn2assemble.errors import InputError
 from learn2assemble.geometry.hulls import area_vector
 from learn2assemble.planning.clearance import Parts, overlap, parts_of
 
+_library: Any = shapely
+"""Decorated functions without types."""
 DENSITY = 600.0
 """Of timber [kg/m³]."""
 _SLENDER = (4.0, 8.0, 2.0)
@@ -136,7 +138,7 @@ class PostSite:
                 continue
             room = face.outline.buffer(-min(width, 0.9 * length.min()) / 2)
             at = face.outline.centroid if room.is_empty else room
-            at = shapely.get_coordinates(shapely.shortest_line(at, middle))[0]
+            at = shapely.get_coordinates(_library.shortest_line(at, middle))[0]
             u, v = axes * extent[:, None] / 2
             square = at + np.array([-u - v, u - v, u + v, v - u])
             if u[0] * v[1] < u[1] * v[0]:
@@ -218,11 +220,11 @@ def _reaches(post: Block, face: Face, depth: float) -> bool:
 
 def _below(post: Block, plane: Face) -> Block | None:
     """What of a convex block is outside of a face of another, or None."""
-    faces, rim = [], []
+    faces, rim = list[np.ndarray](), list[np.ndarray]()
     for face in post.faces:
         corners = post.vertices[list(face)]
         side = (corners - plane.foot) @ plane.normal
-        kept = []
+        kept = list[np.ndarray]()
         for i, j in zip(range(len(face)), (*range(1, len(face)), 0), strict=True):
             if side[i] >= 0:
                 kept.append(corners[i])
@@ -243,9 +245,9 @@ def _below(post: Block, plane: Face) -> Block | None:
     faces.append(rim[np.argsort(-angle)])
     points = np.concatenate(faces)
     _, first, number = np.unique(points.round(9), axis=0, return_index=True, return_inverse=True)
-    number, at, made = number.reshape(-1), 0, []
+    number, at, made = number.reshape(-1), 0, list[tuple[int, ...]]()
     for face in faces:
-        index = number[at : at + len(face)].tolist()
+        index: list[int] = number[at : at + len(face)].tolist()
         at += len(face)
         index = [k for k, after in zip(index, (*index[1:], index[0]), strict=True) if k != after]
         if len(index) >= 3:
@@ -258,7 +260,7 @@ def _below(post: Block, plane: Face) -> Block | None:
 
 def _faces(block: Block) -> list[Face]:
     """The faces of a block that are not upright."""
-    found = []
+    found = list[Face]()
     for face in block.faces:
         corners = block.vertices[list(face)]
         normal = area_vector(corners)

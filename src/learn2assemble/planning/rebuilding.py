@@ -104,7 +104,7 @@ class _PartialOrder:
     step: Doing | None = field(compare=False, default=None)
 
     def steps(self) -> tuple[Doing, ...]:
-        found, at = [], self
+        found, at = list[Doing](), self
         while at.before is not None and at.step is not None:
             found.append(at.step)
             at = at.before
@@ -141,7 +141,7 @@ class _Beam:
     def _all_gone(self, block: int) -> frozenset[int]:
         """What has to be gone before a block comes, with what lies on it, and for what it lies on,
         too."""
-        queue, found, seen = [block], set(), set()
+        queue, found, seen = [block], set[int](), set[int]()
         while queue:
             n = queue.pop()
             if n in seen:

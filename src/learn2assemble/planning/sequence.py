@@ -52,6 +52,12 @@ class Doing(NamedTuple):
 WAIT = Doing("wait", -1)
 
 
+def let_go(block: int, state: State) -> Doing:
+    """The step in which the hand that holds a block lets it go."""
+    hand = state.hands.get(block)
+    return Doing("release", block, None, hand.name or None if hand is not None else None)
+
+
 @dataclass(frozen=True)
 class Supports:
     """What may carry blocks until they carry themselves.
@@ -163,7 +169,7 @@ def depth_first(
     path: list[Move] = []
     best: list[Move] = []
     most = fewest = rules.left(rules.first)
-    queue, seen, tries = [rules.moves(rules.first)], set(), 0
+    queue, seen, tries = [rules.moves(rules.first)], set[Hashable](), 0
     while any(fewest) and queue and clock.left > 0 and tries < rules.tries:
         move = next(queue[-1], None)
         if move is None:

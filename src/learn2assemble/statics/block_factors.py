@@ -235,7 +235,7 @@ class Factors(NamedTuple):
 
 
 @kernel
-def _fill(start, later):
+def _fill(start: np.ndarray, later: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where the factors have blocks: of each body the later ones that it still touches when its
     turn comes, as ``start`` int64[n + 1] and ``later`` int64[m], ascending.
 
@@ -274,7 +274,15 @@ def _fill(start, later):
 
 
 @kernel
-def _solve(start, later, diagonal, left_of, right_of, x, work):
+def _solve(
+    start: np.ndarray,
+    later: np.ndarray,
+    diagonal: np.ndarray,
+    left_of: np.ndarray,
+    right_of: np.ndarray,
+    x: np.ndarray,
+    work: np.ndarray,
+) -> bool:
     """Factor in place, and solve for ``x`` in place. Returns whether no pivot is zero.
 
     ``diagonal`` becomes its own inverses, ``left_of`` the factor left of it; ``right_of`` holds
@@ -327,7 +335,7 @@ def _solve(start, later, diagonal, left_of, right_of, x, work):
 
 
 @kernel
-def _invert(block, inverse):
+def _invert(block: np.ndarray, inverse: np.ndarray) -> bool:
     """The inverse of a square ``block``, which is lost; False where it has none."""
     size = len(block)
     for r in range(size):
@@ -357,7 +365,17 @@ def _invert(block, inverse):
 
 
 @kernel
-def _fill_in(a, b, on_a, on_b, pair, stiff, soft, diagonal, beside):  # pragma: no cover
+def _fill_in(  # pragma: no cover
+    a: np.ndarray,
+    b: np.ndarray,
+    on_a: np.ndarray,
+    on_b: np.ndarray,
+    pair: np.ndarray,
+    stiff: np.ndarray,
+    soft: float,
+    diagonal: np.ndarray,
+    beside: np.ndarray,
+) -> None:
     """The matrix of springs. Blocks beside the diagonal have the rows of the later body."""
     size = diagonal.shape[1]
     for k in range(len(diagonal)):
@@ -382,7 +400,9 @@ def _fill_in(a, b, on_a, on_b, pair, stiff, soft, diagonal, beside):  # pragma: 
 
 
 @kernel
-def _factor_springs(start, later, diagonal, beside, work):  # pragma: no cover
+def _factor_springs(  # pragma: no cover
+    start: np.ndarray, later: np.ndarray, diagonal: np.ndarray, beside: np.ndarray, work: np.ndarray
+) -> bool:
     """Cholesky's factors in place. Returns whether there are any.
 
     Inverses of the blocks on the diagonal would take less time to apply, but where some bodies
@@ -437,7 +457,9 @@ def _factor_springs(start, later, diagonal, beside, work):  # pragma: no cover
 
 
 @kernel
-def _solve_springs(start, later, diagonal, beside, x):  # pragma: no cover
+def _solve_springs(  # pragma: no cover
+    start: np.ndarray, later: np.ndarray, diagonal: np.ndarray, beside: np.ndarray, x: np.ndarray
+) -> None:
     """Solve in place with factors."""
     count, size = x.shape
     for k in range(count):
@@ -463,7 +485,9 @@ def _solve_springs(start, later, diagonal, beside, x):  # pragma: no cover
 
 
 @kernel
-def _stretched(a, b, on_a, on_b, motion):  # pragma: no cover
+def _stretched(  # pragma: no cover
+    a: np.ndarray, b: np.ndarray, on_a: np.ndarray, on_b: np.ndarray, motion: np.ndarray
+) -> np.ndarray:
     """How far springs are stretched."""
     size = motion.shape[1]
     found = np.zeros(len(a))

@@ -23,7 +23,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
-import clarabel
+import clarabel  # pyright: ignore[reportMissingTypeStubs]
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
@@ -106,13 +106,14 @@ class System:
         self.corners: int = len(contacts.points)
         number = np.cumsum(free) - 1
         self._length = float(np.median([block.volume for block in blocks])) ** (1 / 3)
-        mass = np.array([blocks[k].mass for k in self.free])
+        movable = [block for block, on in zip(blocks, free, strict=True) if on]
+        mass = np.array([block.mass for block in movable])
         self._newton = GRAVITY * float(mass.mean()) if self.count else 1.0
         self.mass: np.ndarray = mass / mass.mean() if self.count else mass
-        centre = np.array([blocks[k].centroid for k in self.free]).reshape(-1, 3)
+        centre = np.array([block.centroid for block in movable]).reshape(-1, 3)
         reach = [
-            np.linalg.norm(blocks[k].vertices - c, axis=1).max()
-            for k, c in zip(self.free, centre, strict=True)
+            np.linalg.norm(block.vertices - c, axis=1).max()
+            for block, c in zip(movable, centre, strict=True)
         ]
         self.radius: np.ndarray = np.array(reach) / self._length
         self._frame = corner_frames(contacts)
@@ -148,7 +149,7 @@ class System:
 
     def _balance(self) -> sp.csc_matrix:
         """Wrench [6 count] of the corner forces in their frames; column 3 p is a normal force."""
-        rows, columns, values = [], [], []
+        rows, columns, values = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
         for body, wrench in zip(self._bodies, self._wrench, strict=True):
             corner = np.flatnonzero(body >= 0)
             row = 6 * body[corner][:, None, None] + np.arange(6)
@@ -217,13 +218,13 @@ class System:
         """
         joined, limit = self.joined, self._contacts.friction(friction)
         terms = self.weight.reshape(-1, 6), limit, stiffness, BALANCED_COUPLED
-        found = False
         if forces is None:
             found, answer = joined.coupled(*terms)
+            if found:
+                return True, answer.forces
             forces = np.zeros((self.corners, 3))
-        if not found:
-            balances, near = joined.nearest(*terms[:2], forces, BALANCED)
-            found, answer = joined.coupled_by_rounds(*terms, near) if balances else (False, near)
+        balances, near = joined.nearest(*terms[:2], forces, BALANCED)
+        found, answer = joined.coupled_by_rounds(*terms, near) if balances else (False, near)
         return found, answer.forces
 
     def held_back(
@@ -243,7 +244,7 @@ class System:
         return self._with_holding(soft, _EXACT, sp.vstack([pick, disc]), limits, parts)
 
     def _with_holding(
-        self, soft: np.ndarray, price: float, signs: Any, limits: np.ndarray, parts: list
+        self, soft: np.ndarray, price: float, signs: Any, limits: np.ndarray, parts: list[Any]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Least elastic energy plus price times the norm of the holding force of every block.
 
@@ -431,7 +432,7 @@ def balancing_forces(
     return None if answer is None else np.array(answer.x).reshape(-1, 3)
 
 
-def _cones(friction: np.ndarray) -> tuple[Any, list]:
+def _cones(friction: np.ndarray) -> tuple[sp.csr_matrix, list[Any]]:
     """Coulomb's law: the negated rows of forces, and the cones they are in.
 
     Args:
@@ -456,7 +457,7 @@ def _run(
     cost: np.ndarray,
     matrix: Any,
     bound: np.ndarray,
-    cones: list,
+    cones: list[Any],
     tolerances: tuple[float, ...] = _TOLERANCES,
 ) -> Any:
     """Solve one cone program; None where it is infeasible or the solver cannot tell."""
@@ -468,7 +469,12 @@ def _run(
 
 
 def _solver(
-    energy: Any, cost: np.ndarray, matrix: Any, bound: np.ndarray, cones: list, tolerance: float
+    energy: Any,
+    cost: np.ndarray,
+    matrix: Any,
+    bound: np.ndarray,
+    cones: list[Any],
+    tolerance: float,
 ) -> Any:
     """A solver of: least x energy x / 2 + cost x where bound - matrix x is in the cones."""
     settings = _conic.DefaultSettings()

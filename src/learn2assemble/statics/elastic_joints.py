@@ -204,7 +204,7 @@ class Joined:
             if change is None:
                 break
             size, rate = float((left[now] ** 2).sum()), float((left[now] * change).sum())
-            step, nearer = 1.0, False
+            step, nearer, there, after = 1.0, False, motion, value
             for _ in range(_HALVINGS):
                 there = motion + step * change
                 after = self._respond(there, load, law, 1 - now)
@@ -236,7 +236,7 @@ class Joined:
             change = self._change(law, now, leak)
             if change is None:
                 break
-            step = 1.0
+            step, there, found = 1.0, motion, size
             for _ in range(_SHORTER):
                 there = motion + step * change
                 self._respond(there, load, law, 1 - now)
@@ -306,7 +306,19 @@ class _JointResponse(NamedTuple):
 
 
 @kernel
-def _respond(motion, load, body, wrench, kind, near, springs, friction, force, slope, left):
+def _respond(
+    motion: np.ndarray,
+    load: np.ndarray,
+    body: np.ndarray,
+    wrench: np.ndarray,
+    kind: int,
+    near: np.ndarray,
+    springs: np.ndarray,
+    friction: np.ndarray,
+    force: np.ndarray,
+    slope: np.ndarray,
+    left: np.ndarray,
+) -> float:
     """Forces of a law at a motion, their derivatives by the motion of the corners, and what is
     left of the load, all in place. Returns the energy, which the coupled law has none of."""
     energy = 0.0
@@ -375,7 +387,16 @@ def _respond(motion, load, body, wrench, kind, near, springs, friction, force, s
 
 
 @kernel
-def _assemble(body, wrench, slope, leak, springs, at, turned, data):
+def _assemble(
+    body: np.ndarray,
+    wrench: np.ndarray,
+    slope: np.ndarray,
+    leak: float,
+    springs: np.ndarray,
+    at: np.ndarray,
+    turned: np.ndarray,
+    data: np.ndarray,
+) -> None:
     """Set a matrix to the sum of wrench.T @ slope @ wrench over both sides of every corner.
 
     A corner couples the two blocks it lies between, each with itself and with the other one: up to

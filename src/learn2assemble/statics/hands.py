@@ -9,16 +9,18 @@ of its inequalities.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.optimize import nnls
+from scipy import optimize  # pyright: ignore[reportMissingTypeStubs]
 
 from learn2assemble.assembly.hands import Hand
+
+_library: Any = optimize
 
 STIFFNESS = 1.0
 """Of a hand, in that of a whole face of a median block: force over motion, and moment over turn."""
@@ -52,7 +54,7 @@ def held_blocks(
         newton: unit of force [N].
         length: float64[B], by which couples are divided [m].
     """
-    found = []
+    found = list[HeldBlock]()
     for block, hand in sorted(hands.items(), key=lambda item: item[0]):
         if number[block] >= 0:
             rows, most = hand.about(centre[block], newton, float(length[block]))
@@ -74,7 +76,7 @@ def nearest_wrench(held: HeldBlock, wanted: np.ndarray) -> tuple[np.ndarray, np.
     matrix = np.vstack([-held.rows.T, over / worst])
     unit = np.zeros(7)
     unit[6] = 1.0
-    share, _ = nnls(matrix, unit)
+    share, _ = _library.nnls(matrix, unit)
     rest = matrix @ share - unit
     wrench = wanted - worst * rest[:6] / rest[6]
     binding = held.rows[share > 0]
@@ -130,7 +132,9 @@ def hand_columns(
 
 
 @contextmanager
-def held_meanwhile(solver: Any, held: Sequence[HeldBlock], count: int) -> Iterator[None]:
+def held_meanwhile(
+    solver: Any, held: Sequence[HeldBlock], count: int
+) -> Generator[None, None, None]:
     """A linear program, given to HiGHS, of which the first 6 ``count`` rows are the balance of
     blocks: with the hands meanwhile, behind all else."""
     if not held:

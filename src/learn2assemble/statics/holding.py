@@ -424,9 +424,9 @@ class Balance:
         solver, width = self._solver, self._width
         pulling = self.on(self.pull_bodies, there).astype(float)
         offset = self.pulls @ pulling  # The whole strength is there.
-        points, angles, queue, above = [], [], list(_FIRST), MOST_G
+        points, angles = list[np.ndarray](), list[float]()
+        queue, above, load = list(_FIRST), MOST_G, self._load_now
         solver.changeColCost(width, -1.0)
-        load = self._load_now
         try:
             low, high = self._row_bounds(load - offset, free)
             rows = np.arange(len(low), dtype=np.int32)

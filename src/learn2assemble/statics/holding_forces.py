@@ -105,7 +105,7 @@ def among(forces: Forces, blocks: np.ndarray) -> Forces:
     number = np.full(max(int(one.max(initial=-1)) for one in (blocks, *bodies)) + 2, -2)
     number[blocks] = np.arange(len(blocks))
     number[GROUND] = GROUND  # The last entry.
-    made, kept = [], []
+    made, kept = list[Columns](), list[np.ndarray]()
     for part in forces[:2]:
         a, b = number[part.a], number[part.b]
         on = np.flatnonzero((a >= GROUND) & (b >= 0))
@@ -166,7 +166,7 @@ def _of_bricks(
     grips: np.ndarray,
     capacity: np.ndarray,
 ) -> Forces:
-    parts, preload, points = [], [], []
+    parts, preload, points = list[Columns](), list[Columns](), list[np.ndarray]()
     held = Clutches(*(field[grips] for field in clutches))
     made = _clutch_columns(lattice, held, capacity[grips], points)
     parts += made[:2]
@@ -337,7 +337,7 @@ def _of_patches(assembly: Assembly, cured: np.ndarray | None) -> Forces:
     parts: list[Columns] = []
     preload: list[Columns] = []
     filled: list[int] = []
-    start = contacts.start
+    start: list[int] = contacts.start.tolist()
     studs = _studs_of(assembly, laws, clutching, contacts)
     for patch, joint in enumerate(laws):
         a, b, normal = int(contacts.a[patch]), int(contacts.b[patch]), contacts.normal[patch]
@@ -368,7 +368,7 @@ def _of_patches(assembly: Assembly, cured: np.ndarray | None) -> Forces:
 
 def _mortar(contacts: Contacts, patch: int, joint: Joint) -> tuple[Columns, Columns]:
     """Forces along a patch of mortar up to its shear strength, and its preload."""
-    first, last = contacts.start[patch], contacts.start[patch + 1]
+    first, last = int(contacts.start[patch]), int(contacts.start[patch + 1])
     corner, area = np.arange(first, last), float(contacts.area[patch])
     count = len(corner)
     frame = across(contacts.normal[patch][None])[0]
@@ -393,7 +393,7 @@ def _studs_of(
     assembly: Assembly, laws: list[Joint], clutching: list[bool], contacts: Contacts
 ) -> dict[tuple[int, int], tuple[Columns, Columns, Columns]]:
     """Columns of every pair of blocks, the lower one first, that clutches."""
-    pairs = {
+    pairs: dict[tuple[int, int], Joint] = {
         (a, b) if up > 0 else (b, a): joint
         for a, b, up, joint, on in zip(
             contacts.a.tolist(),
@@ -412,8 +412,9 @@ def _studs_of(
         lattice = StudLattice([assembly.blocks[k] for k in number], pitch)
         clutches = lattice.clutches(ground=any(a == GROUND for a, _ in of))
         index = np.array([*number, GROUND])
-        low, up = index[clutches.lower], index[clutches.upper]
-        for k, pair in enumerate(zip(low.tolist(), up.tolist(), strict=True)):
+        low: list[int] = index[clutches.lower].tolist()
+        up: list[int] = index[clutches.upper].tolist()
+        for k, pair in enumerate(zip(low, up, strict=True)):
             if pair in pairs and pairs[pair].pitch == pitch:
                 one = Clutches(*(field[k : k + 1] for field in clutches))
                 capacity = np.array([pairs[pair].capacity])

@@ -102,7 +102,8 @@ class NearForces:
         self._pairs = pairs.T
         self._below: list[list[int]] = [[] for _ in range(count)]
         """Of each brick those that it is on."""
-        for lower, upper in pairs[pairs[:, 0] >= 0].tolist():
+        on_others: list[list[int]] = pairs[pairs[:, 0] >= 0].tolist()
+        for lower, upper in on_others:
             self._below[upper].append(lower)
         self._known: list[_Balanced] = []
         self._base: _Base | None = None
@@ -249,7 +250,8 @@ class NearForces:
         on = present[b] & ((a < 0) | present[a])
         on_it = np.bincount(a[on & (a >= 0)], minlength=count)
         under_it = np.bincount(b[on], minlength=count)
-        for brick in self.balance.downwards[free[self.balance.downwards]].tolist():
+        bricks: list[int] = self.balance.downwards[free[self.balance.downwards]].tolist()
+        for brick in bricks:
             if on_it[brick]:
                 continue
             below = [m for m in self._below[brick] if lower[m]]

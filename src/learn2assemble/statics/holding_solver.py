@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import clarabel
+import clarabel  # pyright: ignore[reportMissingTypeStubs]
 import highspy
 import numpy as np
 import scipy.sparse as sp

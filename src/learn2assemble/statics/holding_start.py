@@ -72,7 +72,19 @@ def first_basis(
 
 
 @kernel
-def _borne(order, rank, start, touching, a, b, at, push, weight, centre, basic):  # pragma: no cover
+def _borne(  # pragma: no cover
+    order: np.ndarray,
+    rank: np.ndarray,
+    start: np.ndarray,
+    touching: np.ndarray,
+    a: np.ndarray,
+    b: np.ndarray,
+    at: np.ndarray,
+    push: np.ndarray,
+    weight: np.ndarray,
+    centre: np.ndarray,
+    basic: np.ndarray,
+) -> bool:
     """Put three pushes of every brick into ``basic``; False where one has no three, or where many
     are not borne by pushes."""
     pulled = 0
@@ -127,7 +139,15 @@ def _borne(order, rank, start, touching, a, b, at, push, weight, centre, basic):
 
 
 @kernel
-def _around(x, y, up, count, at_x, at_y, chosen):  # pragma: no cover
+def _around(  # pragma: no cover
+    x: np.ndarray,
+    y: np.ndarray,
+    up: np.ndarray,
+    count: int,
+    at_x: float,
+    at_y: float,
+    chosen: np.ndarray,
+) -> bool:
     """Three pushes from below around a point: the nearest one, and those that lie next to the line
     from it through the point, to its left and to its right; False where there are none."""
     nearest, least = -1, np.inf
@@ -153,7 +173,9 @@ def _around(x, y, up, count, at_x, at_y, chosen):  # pragma: no cover
 
 
 @kernel
-def _wide(x, y, count, chosen):  # pragma: no cover
+def _wide(  # pragma: no cover
+    x: np.ndarray, y: np.ndarray, count: int, chosen: np.ndarray
+) -> bool:
     """Three pushes far from one line; False where all are on one."""
     first, second, third, most = 0, 0, 0, 0.0
     for i in range(count):

@@ -112,7 +112,9 @@ def settle(
 
 
 @kernel
-def _load_on(load, force, b, row, target):
+def _load_on(
+    load: StackLoad, force: np.ndarray, b: int, row: np.ndarray, target: np.ndarray
+) -> None:
     """Weight of a block and what rests on it, in blocks without a ``row``: force and moments."""
     target[0], target[1], target[2] = load.weight[b], 0.0, 0.0
     for k in range(load.above_start[b], load.above_start[b + 1]):
@@ -124,7 +126,14 @@ def _load_on(load, force, b, row, target):
 
 
 @kernel
-def _answer(load, force, live, b, target, trial):
+def _answer(
+    load: StackLoad,
+    force: np.ndarray,
+    live: np.ndarray,
+    b: int,
+    target: np.ndarray,
+    trial: np.ndarray,
+) -> bool:
     """Smallest change of the forces under a block that balances ``target``, in place.
 
     Args:
@@ -214,7 +223,14 @@ def _answer(load, force, live, b, target, trial):
 
 
 @kernel
-def _mend(load, force, live, members, row, b):
+def _mend(
+    load: StackLoad,
+    force: np.ndarray,
+    live: np.ndarray,
+    members: np.ndarray,
+    row: np.ndarray,
+    b: int,
+) -> int:
     """Balance a block with as few others as it takes.
 
     Args:
@@ -230,8 +246,9 @@ def _mend(load, force, live, members, row, b):
         for j in range(known, end):
             c = members[j]
             for k in range(load.above_start[c], load.above_start[c + 1]):
-                if live[load.above[k]] > 0.0:
-                    top = load.upper[load.above[k]]
+                point: int = load.above[k]
+                if live[point] > 0.0:
+                    top: int = load.upper[point]
                     count = _join(members, row, count, top)
                     for p in range(load.start[top], load.start[top + 1]):
                         if live[p] > 0.0 and load.lower[p] >= 0:
@@ -247,7 +264,7 @@ def _mend(load, force, live, members, row, b):
 
 
 @kernel
-def _join(members, row, count, block):
+def _join(members: np.ndarray, row: np.ndarray, count: int, block: int) -> int:
     """Add a block to the members where it is none, and there is room; how many there are."""
     if row[block] >= 0 or count == len(members):
         return count
@@ -256,7 +273,9 @@ def _join(members, row, count, block):
 
 
 @kernel
-def _balance(load, force, live, members, row):
+def _balance(
+    load: StackLoad, force: np.ndarray, live: np.ndarray, members: np.ndarray, row: np.ndarray
+) -> bool:
     """The forces under ``members`` nearest to those they have that balance them, in place.
 
     See :func:`learn2assemble.statics.elastic.balance`, which this is for few blocks.
@@ -265,7 +284,8 @@ def _balance(load, force, live, members, row):
     n, m = len(point), len(right)
     if n == 0:
         return False
-    share, near = live[point], force[point]
+    share: np.ndarray = live[point]
+    near: np.ndarray = force[point]
     share /= share.mean()
     most, largest = m / 3 * right[::3].sum(), np.abs(right).max()
     motion, pull, there = np.zeros(m), np.zeros(n), np.maximum(near, 0.0)
@@ -282,6 +302,7 @@ def _balance(load, force, live, members, row):
         if not found or not slope > 0.0:
             return False
         along, step, better = _opening(arm, at, change), 1.0, False
+        after, other = value, left
         for _ in range(HALVINGS):
             there = np.maximum(near + share * (pull + step * along), 0.0)
             after = 0.5 * (there**2 / share).sum() - (right * (motion + step * change)).sum()
@@ -305,7 +326,9 @@ def _balance(load, force, live, members, row):
 
 
 @kernel
-def _equations(load, force, live, members, row):
+def _equations(
+    load: StackLoad, force: np.ndarray, live: np.ndarray, members: np.ndarray, row: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Points under ``members`` (int64[k]), their lever arms on the block above and the one below
     (float64[k, 6]), the first rows of the two (int64[k, 2]; -1: held), and the loads."""
     most, k = 0, 0
@@ -330,7 +353,7 @@ def _equations(load, force, live, members, row):
 
 
 @kernel
-def _left(right, arm, at, there):
+def _left(right: np.ndarray, arm: np.ndarray, at: np.ndarray, there: np.ndarray) -> np.ndarray:
     """float64[m]: what the forces ``there`` leave of the loads."""
     left = right.copy()
     for k in range(len(there)):
@@ -343,7 +366,7 @@ def _left(right, arm, at, there):
 
 
 @kernel
-def _opening(arm, at, motion):
+def _opening(arm: np.ndarray, at: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """float64[n]: how far a motion of the blocks presses every point together."""
     pull = np.zeros(len(at))
     for k in range(len(at)):
@@ -356,7 +379,9 @@ def _opening(arm, at, motion):
 
 
 @kernel
-def _newton(arm, at, soft, left):
+def _newton(
+    arm: np.ndarray, at: np.ndarray, soft: np.ndarray, left: np.ndarray
+) -> tuple[bool, np.ndarray]:
     """The motion that balances ``left`` on springs ``soft``, and whether there is one."""
     m = len(left)
     matrix, change = np.zeros((m, m)), np.zeros(m)

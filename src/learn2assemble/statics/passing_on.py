@@ -86,7 +86,9 @@ def ranked(  # pragma: no cover
 
 
 @kernel
-def _solve(matrix, right, found):  # pragma: no cover
+def _solve(  # pragma: no cover
+    matrix: np.ndarray, right: np.ndarray, found: np.ndarray
+) -> None:
     """Cholesky's factors of a matrix, in its place, and the solution."""
     for i in range(3):
         for j in range(i + 1):
@@ -109,7 +111,16 @@ def _solve(matrix, right, found):  # pragma: no cover
 
 
 @kernel
-def _pass_on(order, rank, start, columns, sides, on, lack, size):  # pragma: no cover
+def _pass_on(  # pragma: no cover
+    order: np.ndarray,
+    rank: np.ndarray,
+    start: np.ndarray,
+    columns: np.ndarray,
+    sides: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    on: np.ndarray,
+    lack: np.ndarray,
+    size: np.ndarray,
+) -> None:
     a, b, on_a, on_b = sides
     normal, motion = np.empty((3, 3)), np.empty(3)
     for position in range(len(order) - 1, -1, -1):

@@ -174,7 +174,7 @@ def check(
         InputError: for what is no assembly, blocks that overlap, or where nothing stands on a
             support or the ground.
     """
-    if not isinstance(assembly, Assembly):
+    if not isinstance(assembly, Assembly):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InputError("assembly", assembly, "an Assembly, which read_assembly reads from files")
     started = time.perf_counter()
     friction = assembly.friction if friction is None else friction
@@ -187,11 +187,16 @@ def check(
     result, contacts, keep, verdict = joints.decide(friction)
     forces = np.zeros_like(contacts.points)
     forces[keep[contacts.patch]] = result.forces
-    moving = tuple(standing.blocks[k].id for k in result.moving.tolist())
+    first: list[int] = result.moving.tolist()
+    moving = tuple(standing.blocks[k].id for k in first)
+
+    def proof(margin_g: float) -> str:
+        return _shown(result, margin_g, verdict)
+
     asked = Asked(
         lambda: margin(standing, contacts.only(keep), friction) if result.stands else 0.0,
         lambda: Falling(result.holding_force, moving),
-        lambda margin_g: _shown(result, margin_g, verdict),
+        proof,
     )
     seconds = time.perf_counter() - started
     return Check(verdict, len(standing.blocks), contacts, forces, result.method, seconds, asked)
@@ -206,10 +211,13 @@ def _check_holding(standing: Assembly, started: float) -> Check:
         holds = found.balance.holding()
         return Falling(holds.force, tuple(standing.blocks[k].id for k in holds.moving))
 
+    def proof(_: float) -> str:
+        return words_of(found.need)
+
     asked = Asked(
         lambda: found.balance.margin_g() if stands else 0.0,
         lambda: NOTHING if stands else falling(),
-        lambda _: words_of(found.need),
+        proof,
         lambda: margin_of(found, reference(standing)),
     )
     return Check(
@@ -400,7 +408,7 @@ def solve(
         return system.fall("rbe", forces, held, motion)
     if not coupled:
         return _standing("rbe", system.newtons(forces))
-    found = []
+    found = list[tuple[np.ndarray, np.ndarray, np.ndarray]]()
     for ratio in stiffness:
         stands, last = system.coupled(friction, ratio, forces)
         if stands:
@@ -433,7 +441,7 @@ def margin(
     fewest, most, work = _LOADS
     tries = int(np.clip(work // max(system.corners, 1), fewest, most))
     program = system.load_program(friction)
-    angles, points, above, below = [], [], MOST_G, 0.0
+    angles, points, above, below = list[float](), list[np.ndarray](), MOST_G, 0.0
     queue = list(_FIRST)
     while queue:
         angle = queue.pop(0)

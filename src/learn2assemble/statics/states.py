@@ -62,7 +62,7 @@ class State:
     present: np.ndarray
     held: np.ndarray
     cured: np.ndarray | None = None
-    hands: Mapping[int, Hand] = field(default_factory=dict)
+    hands: Mapping[int, Hand] = field(default_factory=dict[int, Hand])
 
     @property
     def rigid(self) -> np.ndarray:
@@ -150,9 +150,10 @@ class States:
                 for block, at in zip(blocks, self.centre, strict=True)
             ]
         )
-        self.near: list[set[int]] = [set() for _ in blocks]
+        self.near: list[set[int]] = [set[int]() for _ in blocks]
         """Blocks that share a patch with each block."""
-        for a, b in zip(contacts.a.tolist(), contacts.b.tolist(), strict=True):
+        pairs: list[list[int]] = np.column_stack([contacts.a, contacts.b]).tolist()
+        for a, b in pairs:
             if a >= 0:
                 self.near[a].add(b)
                 self.near[b].add(a)
@@ -179,12 +180,13 @@ class States:
             load, zero = self.weight(near), np.zeros((len(corners), 3))
             if not joined.nearest(load, limit, zero, BALANCED)[0]:
                 return False
-        part, moved = self.part(state, free), {}
+        part, moved = self.part(state, free), dict[float, _JointMotion]()
         for mu in self.friction:
             start = self._start(free, self._motion[mu])
-            moved[mu] = self._coupled(part, free, mu, start, thorough)
-            if moved[mu] is None:
+            found = self._coupled(part, free, mu, start, thorough)
+            if found is None:
                 return False
+            moved[mu] = found
         for mu, found in moved.items():
             self._motion[mu][free] = found.motion
             self._springs = found.springs
@@ -327,7 +329,8 @@ class States:
         """float64[n, 6]: motions to start from, of what is new as if one with what it touches."""
         start, last = known[free].copy(), self._last
         moved = last.present & ~last.rigid & ~self._fixed
-        for k, block in enumerate(free.tolist()):
+        blocks: list[int] = free.tolist()
+        for k, block in enumerate(blocks):
             if not moved[block]:
                 start[k] = 0.0
                 base = next((n for n in sorted(self.near[block]) if moved[n]), None)

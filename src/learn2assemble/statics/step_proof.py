@@ -150,8 +150,9 @@ def stack_of_contacts(blocks: Sequence[Block], contacts: Contacts) -> Stack:
     size = np.diff(contacts.start)
     order = np.lexsort((np.arange(len(upper)), upper))
     order = order[~support[upper[order]]]
-    starts = contacts.start.tolist()
-    corners = [np.arange(starts[k], starts[k + 1]) for k in order.tolist()]
+    starts: list[int] = contacts.start.tolist()
+    listed: list[int] = order.tolist()
+    corners = [np.arange(starts[k], starts[k + 1]) for k in listed]
     index = np.concatenate([*corners, np.empty(0, np.int64)])
     tops = np.repeat(upper[order], size[order])
     width = float(np.median([np.ptp(block.vertices, axis=0)[:2].min() for block in blocks]))
@@ -176,7 +177,7 @@ def find_ring(stack: Stack) -> list[int]:
     if not len(ringed):
         return []
     # Whatever is in no ring itself but rests on one has a way down that ends in it.
-    way, at = [], int(ringed[0])
+    way, at = list[int](), int(ringed[0])
     while at not in way:
         way.append(at)
         at = int(next(b for b in stack.below(at) if stack.rank[b] < 0))
@@ -189,10 +190,11 @@ def ranks(stack: Stack) -> np.ndarray:
     below = [stack.below(block) for block in range(len(stack))]
     above: list[list[int]] = [[] for _ in range(len(stack))]
     for block, bases in enumerate(below):
-        for base in bases:
+        carry: list[int] = bases.tolist()
+        for base in carry:
             above[base].append(block)
     left = np.array([len(bases) for bases in below])
-    ready = np.flatnonzero(left == 0).tolist()
+    ready: list[int] = np.flatnonzero(left == 0).tolist()
     rank[ready] = 0
     for block in ready:
         for top in above[block]:

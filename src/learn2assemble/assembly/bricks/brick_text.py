@@ -28,7 +28,7 @@ def parse_brick_text(text: str, source: str, layers: int, name: str = "") -> Bri
     Raises:
         InputError: for a line that is none, with its number.
     """
-    bricks = []
+    bricks = list[Brick]()
     for number, line in enumerate(text.splitlines(), 1):
         if not line.strip():
             continue

@@ -22,5 +22,5 @@ def knobs_on(block: Block, joint: Joint) -> np.ndarray:
     box = block.is_convex and abs(float(size.prod()) - block.volume) <= 1e-6 * block.volume
     if joint.law != "clutch" or not whole or not box or block.prop:
         return np.empty((0, 3))
-    x, y = ((np.arange(n) + 0.5) * side / n for n, side in zip(studs, size[:2], strict=True))
+    x, y = ((np.arange(int(n)) + 0.5) * side / n for n, side in zip(studs, size[:2], strict=True))
     return np.array([(a, b, size[2]) for a in x for b in y])

@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull  # pyright: ignore[reportMissingTypeStubs]
 
 from learn2assemble.assembly.blocks import Block
 from learn2assemble.errors import InputError
@@ -87,7 +87,8 @@ class StudLattice:
         self._sorted, self._by_key = self._key[order], self._owner[order]
         twice = np.flatnonzero(np.diff(self._sorted) == 0)
         if len(twice):
-            i, j = sorted(self._by_key[twice[0] : twice[0] + 2].tolist())
+            pair: list[int] = self._by_key[twice[0] : twice[0] + 2].tolist()
+            i, j = sorted(pair)
             names = f"{blocks[i].id!r} and {blocks[j].id!r}"
             raise InputError(f"blocks {names}", "an overlap", "blocks that only touch")
 
@@ -108,7 +109,7 @@ class StudLattice:
 
     def sides(self) -> Sides:
         """Where bricks stand side by side."""
-        parts = []
+        parts = list[tuple[np.ndarray, np.ndarray, np.ndarray]]()
         for axis, step in ((0, (1, 0, 0)), (1, (0, 1, 0))):
             other = self._beside(step)
             pair = (other >= 0) & (other != self._owner)
@@ -144,7 +145,7 @@ class StudLattice:
     def _beside(self, step: tuple[int, int, int]) -> np.ndarray:
         """int64[cells]: the brick in the cell one step from each, or -1."""
         shift = (step[0] * self._stride[1] + step[1]) * self._stride[2] + step[2]
-        wanted = self._key + shift
+        wanted: np.ndarray = self._key + shift
         at = np.minimum(np.searchsorted(self._sorted, wanted), len(self._sorted) - 1)
         return np.where(self._sorted[at] == wanted, self._by_key[at], -1)
 
@@ -162,7 +163,7 @@ def grip(x: int, y: int, across: int, along: int, size: tuple[int, int]) -> Grip
         across, along: number of knobs along x and y.
         size: of the upper brick.
     """
-    points, weights = [], []
+    points, weights = list[np.ndarray](), list[np.ndarray]()
     for i in range(x, x + across):
         for j in range(y, y + along):
             for local, weight in _knob((i, j), size):
@@ -179,7 +180,7 @@ def _knob(knob: tuple[int, int], size: tuple[int, int]) -> list[tuple[np.ndarray
     narrow = min(size)
     if narrow < 2:
         return [(_CROSS, np.ones(4))]
-    ways = []
+    ways = list[tuple[np.ndarray, float]]()
     for axis in (0, 1):
         if size[axis] == narrow:
             middle = (size[axis] - 1) / 2
@@ -211,7 +212,7 @@ def _boxes(
         _refuse(blocks[int(np.argmax(bad))], "another shape")
     offset = np.array([*(low[0, :2] % pitch[0]), 0.0])
     cells, size = (low - offset) / unit, (high - low) / unit
-    whole, extent = np.round(cells), np.round(size)
+    whole, extent = cells.round(), size.round()
     off = np.maximum(np.abs(cells - whole), np.abs(size - extent)).max(1)
     bad = (off > _OFF) | (extent < 1).any(1)
     if bad.any():

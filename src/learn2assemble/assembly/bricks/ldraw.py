@@ -95,7 +95,7 @@ def to_ldraw(assembly: Assembly) -> str:
     lines = [f"0 {title}", "0 Name: model.ldr", "0 Author: learn2assemble"]
     for block, box in bricks_of(assembly):
         ldu = (box[1] - box[0]) / LDU
-        x, y, z = np.round(ldu).astype(int).tolist()
+        x, y, z = ldu.round().astype(int).tolist()
         part = PARTS.get((max(x, y), min(x, y), z))
         if part is None or np.abs(ldu - [x, y, z]).max() > 20 * _EXACT:
             got = " x ".join(f"{edge * 1e3:.4g}" for edge in box[1] - box[0]) + " mm"
@@ -242,7 +242,7 @@ def _on_lattice(
 ) -> BrickModel:
     """The parts as bricks on one lattice."""
     stud, layer = kit.pitch[0] / LDU, kit.pitch[2] / LDU
-    boxes = []
+    boxes = list[tuple[np.ndarray, np.ndarray]]()
     for place in places:
         length, width, height = size_of_part(place.name, place.where)
         extent = np.abs(place.turn) @ [length, height, width]
@@ -261,10 +261,10 @@ def _on_lattice(
     origin = np.array([low[0, 0] % stud, low[0, 1] % stud, low[0, 2]])
     cells, sizes = (low - origin) / pitch, size / pitch
     for k, place in enumerate(places):
-        if np.abs(sizes[k] - np.round(sizes[k])).max() > _EXACT:
+        if np.abs(sizes[k] - sizes[k].round()).max() > _EXACT:
             got = f"part {place.name}"
             raise InputError(place.where, got, f"a part of the lattice of kit {kit.name}")
-        off = np.abs(cells[k] - np.round(cells[k]))
+        off = np.abs(cells[k] - cells[k].round())
         if off.max() > _EXACT * 10:
             at = " ".join(f"{v:g}" for v in place.at)
             raise InputError(

@@ -18,7 +18,8 @@ from learn2assemble.errors import InputError
 class Knobs(NamedTuple):
     """A joint of two bricks."""
 
-    count: int
+    # The method of tuples of this name is not used.
+    count: int  # pyright: ignore[reportIncompatibleMethodOverride]
     middle: tuple[float, float]
     """Of its knobs in the structure [m]."""
 
@@ -62,7 +63,7 @@ class BrickMates:
         clutches = lattice.clutches(ground=not self.fixed.any())
         middle = (clutches.first + clutches.last) / 2 * joint.pitch[0] + lattice.offset[:2]
         many = (clutches.last - clutches.first).prod(1)
-        ends = zip(clutches.lower.tolist(), clutches.upper.tolist(), strict=True)
+        ends: list[list[int]] = np.column_stack([clutches.lower, clutches.upper]).tolist()
         for (a, b), n, (x, y) in zip(ends, many.tolist(), middle.tolist(), strict=True):
             self.knobs[a, b] = Knobs(n, (x, y))
             self.lower[b].append(a)

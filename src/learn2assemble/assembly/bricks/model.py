@@ -72,7 +72,7 @@ def assembly_of(model: BrickModel, kit: Kit, source: str) -> Assembly:
             expected = f"coordinates up to {FARTHEST} studs or layers"
             raise InputError(brick.where, brick.low, expected)
     check_apart(bricks)
-    kinds = {}
+    kinds = dict[tuple[int, int, int], Kind]()
     for kind in kit.kinds:
         x, y, z = _extent(kind)
         kinds.setdefault((min(x, y), max(x, y), z), kind)
@@ -80,7 +80,7 @@ def assembly_of(model: BrickModel, kit: Kit, source: str) -> Assembly:
     low = np.array([brick.low for brick in bricks], float) - (0, 0, ground)
     lower = low * kit.pitch + (*model.offset, 0.0)
     sizes = np.array([brick.size for brick in bricks], float) * kit.pitch
-    boxes = []
+    boxes = list[BoxFields]()
     for number, (brick, size) in enumerate(zip(bricks, sizes.tolist(), strict=True), 1):
         x, y, z = brick.size
         kind = kinds.get((min(x, y), max(x, y), z))
@@ -105,7 +105,7 @@ def bricks_of(assembly: Assembly, source: str = "assembly") -> list[tuple[Block,
     standing = {block.id: block for block in assembly.finished.blocks}
     order = [step.place for step in assembly.steps if step.place in standing]
     names = dict.fromkeys([*(n for n in standing if n not in set(order)), *map(str, order)])
-    found = []
+    found = list[tuple[Block, np.ndarray]]()
     for name in names:
         block = standing[name]
         box = np.stack([block.vertices.min(0), block.vertices.max(0)])
@@ -137,7 +137,8 @@ def check_apart(bricks: Sequence[Brick]) -> None:
     twice = np.flatnonzero(np.diff(code[order]) == 0)
     if len(twice):
         first = twice[np.argmin(order[twice + 1])]
-        one, other = owner[order[first : first + 2]].tolist()
+        pair: list[int] = owner[order[first : first + 2]].tolist()
+        one, other = pair
         raise InputError(
             bricks[other].where, f"a brick in {bricks[one].where}", "bricks that do not overlap"
         )

@@ -13,13 +13,13 @@ from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.goals import Goals
 from learn2assemble.errors import InputError
 from learn2assemble.planning import plan as plans
+from learn2assemble.planning.goals.loads import failing_load
 from learn2assemble.planning.goals.program import MOST, plan_program
 from learn2assemble.planning.goals.search import Found, search
 from learn2assemble.planning.goals.stacks import TIGHT, find_stacks
 from learn2assemble.planning.goals.world import (
     MAX_CANDIDATES,
     GoalProblem,
-    failing_load,
     make_problem,
     relax,
 )

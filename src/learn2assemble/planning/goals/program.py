@@ -24,8 +24,9 @@ import numpy as np
 
 from learn2assemble.design.goals import Surface
 from learn2assemble.linear_programs import INF, Clock, LinearProgram, Model, solve
+from learn2assemble.planning.goals.loads import failing_load
 from learn2assemble.planning.goals.search import finished
-from learn2assemble.planning.goals.world import GoalProblem, failing_load, legal, put
+from learn2assemble.planning.goals.world import GoalProblem, legal, put
 from learn2assemble.planning.tiling.candidates import BlockPlacement
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.standing import add_forces, face_points, find_faces
@@ -162,7 +163,7 @@ def _program(
         pairs = np.flatnonzero(side & above)
         below = problem.bed[pairs] - 1
         counts = np.diff(site.over_start)[below]
-        inner = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+        inner = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
         q = site.over[np.repeat(site.over_start[below], counts) + inner]
         p, q = np.unique(np.stack([np.repeat(bed_body[pairs], counts), q]), axis=1)
         model.rows(

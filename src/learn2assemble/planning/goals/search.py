@@ -29,13 +29,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learn2assemble.linear_programs import INF, Clock, Model, solve
+from learn2assemble.planning.goals.loads import bears, failing_load, loaded
 from learn2assemble.planning.goals.world import (
     GoalProblem,
     Relaxed,
-    bears,
-    failing_load,
     legal,
-    loaded,
     put,
     relax,
     unmet,
@@ -190,7 +188,8 @@ class Search:
             limit: of nodes.
             noise: scale of what is added to surprises.
         """
-        ties, seen, limit, self.noise = count(), set(), self.expanded + limit, noise
+        ties, seen = count(), set[int]()
+        limit, self.noise = self.expanded + limit, noise
         queue: list[tuple[float, int, int, Node]] = []
 
         def push(node: Node, index: int) -> None:
@@ -326,7 +325,7 @@ def _least_ballast(
     right[:, 0] = stack.weight / unit
     model = Model()
     force, ballast = model.columns(np.zeros(len(stack.point))), model.columns(np.ones(len(top)))
-    entries = []
+    entries = list[tuple[np.ndarray, np.ndarray, np.ndarray]]()
     for sign, column, block, at in (
         (1.0, force, stack.upper, stack.point[:, :2]),
         (-1.0, force[bears], stack.lower[bears], stack.point[bears, :2]),

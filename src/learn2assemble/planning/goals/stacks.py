@@ -19,7 +19,8 @@ from __future__ import annotations
 import numpy as np
 
 from learn2assemble.linear_programs import INF, Clock, Model, solve
-from learn2assemble.planning.goals.world import GoalProblem, bears, legal, put, unmet
+from learn2assemble.planning.goals.loads import bears
+from learn2assemble.planning.goals.world import GoalProblem, legal, put, unmet
 from learn2assemble.planning.tiling.candidates import BlockPlacement, support_margin
 from learn2assemble.planning.tiling.props import FIRM
 from learn2assemble.planning.tiling.world import LatticeWorld
@@ -63,7 +64,7 @@ def find_stacks(problem: GoalProblem, *, seconds: float = INF) -> tuple[BlockPla
         (kinds[counted], used[counted], 1.0),
     )
     raised = np.flatnonzero(part.origin[:, 2] > 0)
-    carried, carries = [], []
+    carried, carries = list[int](), list[int]()
     for row, top in enumerate(raised):
         for base in _carriers(problem, int(keep[top])):
             if number[base] >= 0:

@@ -1,4 +1,4 @@
-"""Where a structure for some goals may grow: candidates, what is still missing, loads.
+"""Where a structure for some goals may grow: candidates, and what is still missing.
 
 Candidates and states are those of the builder of designs, with every cell that may be filled as a
 wanted one. A candidate is *legal* where something carries it and nothing is above any of its cells,
@@ -16,16 +16,13 @@ way there: its *detour*.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from itertools import combinations
+from dataclasses import dataclass
 
 import numpy as np
 
-from learn2assemble.design.goals import Goals, Surface
+from learn2assemble.design.goals import Goals
 from learn2assemble.kernels import kernel
-from learn2assemble.linear_programs import INF
 from learn2assemble.planning.tiling.world import LatticeSite, LatticeWorld, make_site
-from learn2assemble.statics.step_proof import Proof, Stack
 
 PRICE, PRICE_ROUNDS = 0.4, 4
 """By how much a kind gets dearer, and how often [blocks]."""
@@ -78,7 +75,8 @@ def make_problem(goals: Goals) -> GoalProblem:
     low = [np.array([(x, y, z - 1) not in set(w.cells) for x, y, z in w.cells]) for w in found.ways]
     strides = np.array([goals.shape[1] * goals.shape[2], goals.shape[2], 1])
     flat = found.origin @ strides
-    beds = [flat[k] + ways[w][low[w]] @ strides for k, w in enumerate(found.way)]
+    number: list[int] = found.way.tolist()
+    beds = [flat[k] + ways[w][low[w]] @ strides for k, w in enumerate(number)]
     middle = np.array([cells[:, :2].mean(0) + 0.5 for cells in ways])
     must = np.argwhere(goals.must)
     must = must[np.argsort(-must[:, 2], kind="stable")] @ strides
@@ -185,76 +183,18 @@ def _relaxed(
     )
 
 
-# ---------------------------------------------------------------- loads
-
-
-def loaded(
-    stack: Stack,
-    owner: np.ndarray,
-    loads: tuple[Surface, ...],
-    shape: tuple[int, ...],
-    pitch: tuple[float, ...],
-) -> Stack:
-    """The stack with masses on top faces, each a part of the block it lies on.
-
-    Args:
-        owner: int[X, Y, Z], the block of every cell.
-    """
-    weight, centre = stack.weight.copy(), stack.centre.copy()
-    for load in loads:
-        block = int(owner[load.cell])
-        top = (load.cell[2] + 1) * pitch[2]
-        at = np.array([load.point[0], load.point[1], top])
-        both = weight[block] + load.mass
-        centre[block] = (weight[block] * centre[block] + load.mass * at) / both
-        weight[block] = both
-    return replace(stack, weight=weight, centre=centre)
-
-
-def load_cases(goals: Goals) -> list[tuple[Surface, ...]]:
-    """All subsets of the loads, all together first: forces are convex, so whatever stands under
-    every subset stands under any part of the loads."""
-    loads = goals.loads
-    return [case for count in range(len(loads), 0, -1) for case in combinations(loads, count)]
-
-
-def failing_load(
-    goals: Goals,
-    stack: Stack,
-    owner: np.ndarray,
-    force: np.ndarray | None = None,
-    seconds: float = INF,
-) -> tuple[Surface, ...] | None:
-    """The first set of loads under which a finished structure falls; None where it bears all.
-
-    Args:
-        owner: int[X, Y, Z].
-        force: of a proof without loads, to begin with.
-    """
-    everything = np.ones(len(stack), bool)
-    for case in load_cases(goals):
-        heavy = Proof(loaded(stack, owner, case, goals.shape, goals.kit.pitch))
-        if force is not None:
-            heavy.force = force.copy()
-        if not heavy.settle(everything, everything) and not heavy.program(
-            everything, everything, seconds
-        ):
-            return case
-    return None
-
-
-def bears(problem: GoalProblem, world: LatticeWorld) -> bool:
-    """Whether what stands bears the loads of the goals, all of which are met."""
-    owner = world.owner.reshape(problem.goals.shape)
-    proof = world.proof
-    return failing_load(problem.goals, proof.stack, owner, proof.force) is None
-
-
 # ---------------------------------------------------------------- compiled
 
 
 @kernel
-def _legal(owner, alive, bed_start, bed, centre, shape):
+def _legal(
+    owner: np.ndarray,
+    alive: np.ndarray,
+    bed_start: np.ndarray,
+    bed: np.ndarray,
+    centre: np.ndarray,
+    shape: np.ndarray,
+) -> np.ndarray:
     step_x, step_y = shape[1] * shape[2], shape[2]
     found = np.empty(len(alive), np.int64)
     count = 0
@@ -275,7 +215,14 @@ def _legal(owner, alive, bed_start, bed, centre, shape):
 
 
 @kernel
-def _cover(cells, depth, owner, alive, over_start, over):
+def _cover(
+    cells: np.ndarray,
+    depth: int,
+    owner: np.ndarray,
+    alive: np.ndarray,
+    over_start: np.ndarray,
+    over: np.ndarray,
+) -> None:
     """Nothing can be put down below ``cells`` any more."""
     for c in cells:
         k = c - 1
@@ -286,7 +233,7 @@ def _cover(cells, depth, owner, alive, over_start, over):
 
 
 @kernel
-def _beside(start, cell, step_x, step_y):
+def _beside(start: np.ndarray, cell: np.ndarray, step_x: int, step_y: int) -> np.ndarray:
     found = np.zeros((len(cell), 3), np.bool_)
     for k in range(len(start) - 1):
         for j in range(start[k], start[k + 1]):
@@ -298,14 +245,22 @@ def _beside(start, cell, step_x, step_y):
 
 
 @kernel(inline="always")
-def _keep(least, at, k, value, cell):
+def _keep(least: np.ndarray, at: np.ndarray, k: int, value: float, cell: int) -> None:
     """The cheapest so far of one kind, and its cell."""
     if value < least[k]:
         least[k], at[k] = value, cell
 
 
 @kernel
-def _support(work, first, last, cx, cy, ref_kind, ref_cell):
+def _support(
+    work: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    first: int,
+    last: int,
+    cx: float,
+    cy: float,
+    ref_kind: np.ndarray,
+    ref_cell: np.ndarray,
+) -> float:
     """What it takes to carry a centroid (cx, cy); ``ref_*`` become the supports.
 
     Args:
@@ -362,23 +317,23 @@ def _support(work, first, last, cx, cy, ref_kind, ref_cell):
 
 @kernel
 def _relax(
-    owner,
-    alive,
-    order,
-    start,
-    cell,
-    beside,
-    bed_start,
-    bed,
-    centre,
-    heavy,
-    level,
-    goals,
-    over_start,
-    over,
-    own,
-    shape,
-):
+    owner: np.ndarray,
+    alive: np.ndarray,
+    order: np.ndarray,
+    start: np.ndarray,
+    cell: np.ndarray,
+    beside: np.ndarray,
+    bed_start: np.ndarray,
+    bed: np.ndarray,
+    centre: np.ndarray,
+    heavy: np.ndarray,
+    level: np.ndarray,
+    goals: np.ndarray,
+    over_start: np.ndarray,
+    over: np.ndarray,
+    own: np.ndarray,
+    shape: np.ndarray,
+) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
     size_y, size_z = shape[1], shape[2]
     step_x, step_y = size_y * size_z, size_z
     count, cells = len(alive), len(owner)
@@ -405,6 +360,7 @@ def _relax(
     ref_cell = np.zeros((count, 4), np.int64)
     kinds, places = np.full(4, -1), np.zeros(4, np.int64)
     work = need, bed, column, np.empty(8), np.empty(8, np.int64)
+    k: int
     for k in order:
         if not alive[k]:
             continue

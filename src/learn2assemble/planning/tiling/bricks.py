@@ -413,7 +413,7 @@ class _Tiler:
 
     def assembly(self, design: CellDesign, kit: Kit) -> Assembly:
         """The bricks where they stand."""
-        made = []
+        made = list[Brick]()
         for number, (x, y, a, b, slab) in enumerate(self.bricks.values(), 1):
             low, high, _ = self.slabs[slab]
             colour = None

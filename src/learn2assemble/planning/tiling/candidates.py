@@ -90,7 +90,7 @@ class Candidates:
         """The candidates with the given indices."""
         size = self.size()[keep]
         start = np.concatenate([[0], np.cumsum(size)])
-        inner = np.arange(start[-1]) - np.repeat(start[:-1], size)
+        inner = np.arange(int(start[-1])) - np.repeat(start[:-1], size)
         cell = self.cell[np.repeat(self.start[keep], size) + inner]
         return Candidates(
             self.ways,
@@ -105,7 +105,8 @@ class Candidates:
 
     def blocks(self, kit: Kit, picked: np.ndarray) -> list[BlockPlacement]:
         """The candidates with the given indices as blocks of ``kit``."""
-        ways = [self.ways[k] for k in self.way[picked].tolist()]
+        numbers: list[int] = self.way[picked].tolist()
+        ways = [self.ways[k] for k in numbers]
         return [
             BlockPlacement(kit.kinds[way.kind].name, way.turn, (x, y, z))
             for way, (x, y, z) in zip(ways, self.origin[picked].tolist(), strict=True)

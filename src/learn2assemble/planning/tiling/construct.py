@@ -12,12 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.kit import DEFAULT_KIT, Cell, Kit, load_kit
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.planning import plan as plans
-from learn2assemble.planning.plan import Plan, PlanDesign
+from learn2assemble.planning.plan import Plan, PlanDesign, Step
 from learn2assemble.planning.tiling.candidates import placement_cells, strange_cells
 from learn2assemble.planning.tiling.ordering import Ordering, to_assembly
 from learn2assemble.planning.tiling.planners import (
@@ -139,7 +139,7 @@ def report_plan(
         pressed = any(step.proof == TIGHT for step in ordered.steps)
         made = to_assembly(tiling, ordering, kit, name=design.name, gap=0.0 if pressed else None)
         assembly = _coloured(made, design, kit.pitch)
-    steps, covered = [], 0
+    steps, covered = list[Step](), 0
     for number, step in enumerate(ordered.steps, 1):
         assert assembly is not None
         placement, block = tiling.placements[step.block], assembly.blocks[step.block]
@@ -221,7 +221,7 @@ def _coloured(
     shades = np.zeros(design.wanted.shape, np.int64) if design.shades is None else design.shades
     size = np.array(pitch)
     middle = np.array([design.wanted.shape[0] / 2, design.wanted.shape[1] / 2, 0.0])
-    blocks = []
+    blocks = list[Block]()
     for block in assembly.blocks:
         low = np.rint(block.vertices.min(0) / size + middle).astype(int)
         high = np.rint(block.vertices.max(0) / size + middle).astype(int)

@@ -109,7 +109,7 @@ def plan_exact(
     _check_size(len(tiling.placements), kit)
     tiling = improve_bond(tiling, kit, clock) if kit.limited else tiling
     first: tuple[Tiling, Ordering | None] | None = None
-    proven = True
+    proven, also = True, ""
     for number, law in enumerate(laws, 1):
         part = clock
         if law == FRICTIONLESS and MORTAR in laws:
@@ -123,10 +123,10 @@ def plan_exact(
         # With friction the same tilings fall in fewer ways, so only the last proof counts.
         proven = status == "refused"
         first = first or (made, ordering)
+        also = made.reason if made is not first[0] and not search.tried else ""
         if clock.left <= 0 or not (search.friction_may_help or laws[number:] == (MORTAR,)):
             break
     assert first is not None
-    also = made.reason if made is not first[0] and not search.tried else ""
     made, ordering = first
     made = replace(made, reason="; ".join(filter(None, (made.reason, also))))
     status = "refused" if proven else "not found"
@@ -374,7 +374,7 @@ def stand_by_friction(
 
     square = bool(np.isclose(kit.pitch[0], kit.pitch[1]))
     boxes = all(
-        np.prod(np.ptp(np.array(way.cells), axis=0) + 1) == len(way.cells)
+        (np.ptp(np.array(way.cells), axis=0) + 1).prod() == len(way.cells)
         for way in orientations(kit)
     )
     again = again or Retiling(tiling, kit, tight=law == TIGHT)

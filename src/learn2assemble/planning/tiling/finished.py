@@ -72,6 +72,7 @@ def stand(tiling: Tiling, kit: Kit, clock: Clock, again: Retiling | None = None)
     square = bool(np.isclose(kit.pitch[0], kit.pitch[1]))
     near = _NearPart(kit, clock, again.barred)
     first, meets_cuts = tiling, False
+    held: list[int] = []
     rounds = int(np.clip(MAX_FALLEN // len(tiling.placements), MIN_ROUNDS, MAX_ROUNDS))
     for number in range(rounds):
         if number == CUT_ROUNDS:
@@ -300,7 +301,8 @@ def uncarried_cells(wanted: np.ndarray, kit: Kit, least: float = FIRM) -> np.nda
 
 def to_cells(cells: np.ndarray) -> tuple[Cell, ...]:
     """The rows of int64[n, 3], each once."""
-    return tuple((x, y, z) for x, y, z in sorted(set(map(tuple, cells.tolist()))))
+    rows: list[list[int]] = cells.tolist()
+    return tuple(sorted({(x, y, z) for x, y, z in rows}))
 
 
 def describe_lack(kit: Kit, wanted: np.ndarray, cells: np.ndarray) -> str:

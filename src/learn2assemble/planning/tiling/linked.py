@@ -92,7 +92,8 @@ def _bricks(layer: LayerCells) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     found = [np.empty((0, 5), np.int64)]
     owner, cell = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
     count, wide = 0, layer.cells.shape[1]
-    for a, b in layer.sizes.tolist():
+    sizes: list[list[int]] = layer.sizes.tolist()
+    for a, b in sizes:
         if a <= layer.cells.shape[0] and b <= wide:
             there = sliding_window_view(layer.cells, (a, b)).all((2, 3))
             links = sliding_window_view(layer.linked & layer.cells, (a, b)).sum((2, 3))

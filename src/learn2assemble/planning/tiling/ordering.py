@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -249,7 +249,7 @@ def order(
     )
     rules = Forward(site)
     found = depth_first(rules, clock, lambda text: clock.tell(f"looking for an order: {text}"))
-    doings, steps = [doing for move in found.path for doing in move.steps], []
+    doings, steps = [doing for move in found.path for doing in move.steps], list[OrderedStep]()
     total = sum(doing.action != "wait" for doing in doings)
     for step in reported(laws, rules.law, rules.start, doings):
         place, remove = (step.block, None) if step.action == "place" else (None, step.block)
@@ -345,8 +345,9 @@ def way_out(filled: np.ndarray, cells: np.ndarray) -> bool:
         filled: bool[X, Y, Z], cells it may not pass.
         cells: int[m, 3], its own.
     """
-    from scipy.ndimage import label
+    from scipy import ndimage  # pyright: ignore[reportMissingTypeStubs]
 
+    library: Any = ndimage
     corner = cells.min(0)
     shape, extent = cells - corner, np.ptp(cells, axis=0) + 1
     room = np.pad(filled, [(int(n), int(n)) for n in extent[:2]] + [(0, int(extent[2]))])
@@ -354,7 +355,7 @@ def way_out(filled: np.ndarray, cells: np.ndarray) -> bool:
     free = np.ones(places, bool)
     for x, y, z in shape:
         free &= ~room[x : x + places[0], y : y + places[1], z : z + places[2]]
-    part, _ = label(free)  # pyright: ignore[reportGeneralTypeIssues]
+    part, _ = library.label(free)
     return bool(part[corner[0] + extent[0], corner[1] + extent[1], corner[2]] == part[0, 0, 0])
 
 
@@ -415,7 +416,7 @@ def to_assembly(
     kinds = {kind.name: kind for kind in kit.kinds}
     shapes: dict[tuple[str, int], tuple[np.ndarray, tuple[tuple[int, ...], ...]]] = {}
     middle = np.array([tiling.wanted.shape[0] / 2, tiling.wanted.shape[1] / 2, 0.0])
-    blocks, ids = [], []
+    blocks, ids = list[Block](), list[str]()
     for number, block in enumerate(tiling.placements):
         key = block.kind, block.turn
         if key not in shapes:
@@ -428,13 +429,10 @@ def to_assembly(
         blocks.append(
             Block(ids[-1], moved, faces, block.kind, density, prop=block.prop, colour=kind.colour)
         )
-    steps = [
-        AssemblyStep(
-            **{"place" if step.remove is None else "remove": ids[step.block]},
-            wait=kit.joint.age if step.wait else None,
-        )
-        for step in (ordering.steps if ordering else ())
-    ]
+    steps = list[AssemblyStep]()
+    for step in ordering.steps if ordering else ():
+        done: dict[str, Any] = {"place" if step.remove is None else "remove": ids[step.block]}
+        steps.append(AssemblyStep(**done, wait=kit.joint.age if step.wait else None))
     friction = kit.friction if friction is None else friction
     made = Assembly(tuple(blocks), tuple(steps), friction, name, joint=kit.joint)
     return made.as_far_as_placed()
@@ -459,12 +457,13 @@ def polycube(
     Faces are those of the cells, upright ones half a gap inside; the planes of faces, and no
     others, cut each other.
     """
-    solid = np.zeros(cells.max(0) + 1, bool)
+    shape: list[int] = (cells.max(0) + 1).tolist()
+    solid: np.ndarray = np.zeros(shape, bool)
     solid[tuple(cells.T)] = True
-    planes = []
+    planes = list[np.ndarray]()
     for axis, pitch in enumerate(kit.pitch):
         inset = gap / 2 if axis < 2 else 0.0
-        solid, count = np.moveaxis(solid, axis, 0), solid.shape[axis]
+        solid, count = np.moveaxis(solid, axis, 0), int(solid.shape[axis])
         # A slab for every cell and, of the width of the gap, for every border of cells.
         slabs = np.zeros((2 * count + 1, *solid.shape[1:]), bool)
         slabs[1::2] = solid
@@ -474,8 +473,8 @@ def polycube(
             slabs, at = slabs[[0, *range(1, 2 * count, 2), 0]], np.arange(count + 1) * pitch
         is_face = (slabs[1:] != slabs[:-1]).reshape(len(at), -1).any(1)
         planes.append(at[is_face])
-        solid = np.moveaxis(slabs[[0, *np.flatnonzero(is_face) + 1]], 0, axis)
-    corners = []
+        solid = np.moveaxis(slabs[[0, *(np.flatnonzero(is_face) + 1).tolist()]], 0, axis)
+    corners = list[list[tuple[int, ...]]]()
     for cell in np.argwhere(solid):
         for (axis, side), face in _SQUARE.items():
             near = cell.copy()

@@ -24,7 +24,7 @@ FIRM = 1e-9
 
 def unsupported(tiling: Tiling, kit: Kit) -> list[int]:
     """Blocks whose centroid is not above what carries them: they need a prop to be put down."""
-    found = []
+    found = list[int]()
     for number, block in enumerate(tiling.placements):
         cells, carried = _carried(tiling, kit, block)
         if not block.prop and support_margin(cells, carried, kit) <= FIRM:
@@ -105,7 +105,7 @@ def _top_of_stack(block: BlockPlacement, placements: tuple[BlockPlacement, ...])
 
 def _caught(wanted: np.ndarray, props: dict[BlockPlacement, np.ndarray]) -> set[BlockPlacement]:
     """Those of ``props`` (with their cells) that cannot be moved out, one after the other."""
-    filled, left = wanted.copy(), {}
+    filled, left = wanted.copy(), dict[BlockPlacement, np.ndarray]()
     for block, cells in sorted(props.items(), key=lambda item: -item[0].origin[2]):
         left[block] = cells[cells[:, 2] < wanted.shape[2]]
         filled[tuple(left[block].T)] = True
@@ -178,7 +178,7 @@ def _fewest_props(
     answer = solve(model.program(), seconds)
     if answer.x is None:
         return None
-    made = []
+    made = list[BlockPlacement]()
     for number in np.flatnonzero(answer.x > 0.5):
         way, x, y, z = listed[number]
         made += [
@@ -192,7 +192,7 @@ def _stacks_below(
     wanted: np.ndarray, kit: Kit, under: np.ndarray
 ) -> list[tuple[int, int, int, int]]:
     """``way, x, y, z`` of flat stacks with their top at ``z`` under one of the cells ``under``."""
-    found = []
+    found = list[tuple[int, int, int, int]]()
     for number, way in enumerate(orientations(kit)):
         if any(cell[2] for cell in way.cells):
             continue

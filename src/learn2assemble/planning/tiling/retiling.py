@@ -164,7 +164,7 @@ def _window(
             extra += int(edge.sum())
     if extra > MAX_EDGES:
         return None
-    glue = []
+    glue = list[tuple[np.ndarray, np.ndarray, float]]()
     for axis in (0, 1):
         which, place = filled_pairs(part, axis)
         x, y, z = place.T
@@ -190,7 +190,7 @@ def mirrored(
     Args:
         square: whether cells are as wide as deep, so that x and y may be exchanged.
     """
-    found = []
+    found = list[tuple[np.ndarray, np.ndarray]]()
     for swap in (False, True) if square and wanted.shape[0] == wanted.shape[1] else (False,):
         for flip_x in (1, -1):
             for flip_y in (1, -1):

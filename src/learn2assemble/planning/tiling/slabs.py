@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.ndimage import binary_erosion
+from scipy import ndimage  # pyright: ignore[reportMissingTypeStubs]
+
+_library: Any = ndimage
+"""Functions without types."""
 
 
 class Slab(NamedTuple):
@@ -49,7 +52,9 @@ def inside(wanted: np.ndarray, thick: int, layers: int) -> np.ndarray:
     """bool[X, Y, Z]: cells that are more than ``thick`` cells, up and down so many bricks, from
     outside, in layers as high as bricks: nobody sees finer steps there, and plates would hang."""
     around = 2 * thick + 1
-    deep = binary_erosion(wanted, np.ones((around, around, 2 * thick * layers + 1), bool))
+    deep: np.ndarray = _library.binary_erosion(
+        wanted, np.ones((around, around, 2 * thick * layers + 1), bool)
+    )
     found = np.zeros_like(wanted)
     for low in range(_first_layer(wanted, layers), wanted.shape[2] - layers + 1, layers):
         found[:, :, low : low + layers] = deep[:, :, low : low + layers].all(2, keepdims=True)
@@ -58,7 +63,7 @@ def inside(wanted: np.ndarray, thick: int, layers: int) -> np.ndarray:
 
 def _slabs(heights: np.ndarray) -> list[Slab]:
     """The slabs of a cut, from below, the highest first."""
-    found = []
+    found = list[Slab]()
     for low in range(heights.shape[2]):
         for height in np.unique(heights[:, :, low])[::-1].tolist():
             if height:

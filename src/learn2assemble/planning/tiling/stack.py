@@ -36,7 +36,7 @@ def find_stack(
     x, y, z = cells.T
     top, base = owner[x, y, z], under[x, y, z]
     inset = gap / 2 + EDGE_INSET * min(dx, dy)
-    sides = []
+    sides = list[np.ndarray]()
     for u, v in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         ends = padded[x + 1 + u, y + 1 + v, z + 1] != top
         ends |= (base >= 0) & (padded[x + 1 + u, y + 1 + v, z] != base)
@@ -46,7 +46,8 @@ def find_stack(
     order = np.lexsort((z, base, top))
     same = np.diff(np.stack([top, base, z])[:, order], axis=1).any(0)
     patches = np.split(order, np.flatnonzero(same) + 1) if len(order) else []
-    points, upper, lower, share = [], [], [], []
+    points, upper, lower = list[np.ndarray](), list[int](), list[int]()
+    share = list[float]()
     for patch in patches:
         a, b = low[patch].min(0), high[patch].max(0)
         area = float(np.prod(high[patch] - low[patch], axis=1).sum())

@@ -105,7 +105,7 @@ def tile_standing(
     bodies += [blocks[b] for b in np.flatnonzero(rests)]
     used = Counter(block.kind for block in stays)
     heap = {kind.name: kind.count - used[kind.name] for kind in kit.kinds if kind.count is not None}
-    apart = []
+    apart = list[np.ndarray]()
     for together in barred:
         fixed = set(stays) & together
         chosen = find_blocks(found, together, kit)
@@ -143,7 +143,7 @@ def _program(
     weight, centre = block_masses(tuple(bodies), kit, wanted.shape)
     weight = weight / float(weight.mean())
     middle = centre[:, :2] / np.array(kit.pitch[:2]) + np.array(wanted.shape[:2]) / 2
-    boxes = all(len(c) == np.prod(np.ptp(c, axis=0) + 1) for c in cells)
+    boxes = all(len(c) == (np.ptp(c, axis=0) + 1).prod() for c in cells)
     corner = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
     faces = find_faces(body, cell, wanted, loose, middle, face_points(kit, corner, boxes))
     must: np.ndarray = np.flatnonzero(region.reshape(-1))
@@ -233,7 +233,8 @@ def add_forces(model: Model, used: np.ndarray, faces: Faces, own: np.ndarray, mo
             mass; without the last one, in x and z alone.
         most: no force on top of a body is larger.
     """
-    n, (count, arms), m = len(used), own.shape, faces.lever.shape[1]
+    n, count, arms = len(used), len(own), int(own.shape[1])
+    m = int(faces.lever.shape[1])
     force = model.columns(np.zeros(faces.lever[:, :, 0].size)).reshape(-1, m)
     row, sign = arms * faces.body[:, None], faces.sign[:, None]
     lever = (np.ones_like(faces.lever[:, :, 0]), *np.moveaxis(faces.lever, 2, 0))
@@ -253,7 +254,7 @@ def add_forces(model: Model, used: np.ndarray, faces: Faces, own: np.ndarray, mo
     )
     row = m * faces.plane[:, None] + np.arange(m)
     model.rows(
-        np.zeros(m * (faces.plane.max(initial=-1) + 1)),
+        np.zeros(m * (int(faces.plane.max(initial=-1)) + 1)),
         0.0,
         (row, force[faces.joined], sign[faces.joined]),
     )
@@ -353,7 +354,7 @@ def _partings(
         size: float64[m], prices to begin with.
         rounding: what counts as closed, in the widest opening.
     """
-    closed, found = np.zeros(len(size), bool), []
+    closed, found = np.zeros(len(size), bool), list[np.ndarray]()
     while len(found) < most:
         price, opened, last = size, None, None
         for _ in range(1 + _SPARSER):
@@ -383,7 +384,7 @@ def _partings(
 def _joints(owner: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
     """Where two blocks stand side by side: the cells of the lower ones of pairs in x and in y
     (int64[., 3] each), and the blocks of all pairs (int64[m, 2])."""
-    places, sides = [], []
+    places, sides = list[np.ndarray](), list[np.ndarray]()
     for low, high in ((owner[:-1], owner[1:]), (owner[:, :-1], owner[:, 1:])):
         places.append(np.argwhere((low >= 0) & (high >= 0) & (low != high)))
         sides.append(np.stack([cells[tuple(places[-1].T)] for cells in (low, high)], 1))
@@ -419,7 +420,7 @@ def find_slides(
     pairs, which = np.unique(sides, axis=0, return_inverse=True)
     which, m = which.reshape(-1), len(pairs)
     middle = system.centre[pairs].mean(1)
-    rows, columns, values = [], [], []
+    rows, columns, values = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
     for side, sign in ((0, 1.0), (1, -1.0)):
         body = pairs[:, side]
         arm = middle - system.centre[body]

@@ -74,7 +74,7 @@ class LatticeSite:
 
     def placement(self, candidate: int) -> BlockPlacement:
         """The candidate as the planners write it."""
-        way = self.found.ways[self.found.way[candidate]]
+        way = self.found.ways[int(self.found.way[candidate])]
         x, y, z = (int(v) for v in self.found.origin[candidate])
         return BlockPlacement(self.kit.kinds[way.kind].name, way.turn, (x, y, z))
 
@@ -86,7 +86,7 @@ class LatticeSite:
         """
         ways = self.found.ways
         for index in np.flatnonzero((self.found.origin == placement.origin).all(1)):
-            way = ways[self.found.way[index]]
+            way = ways[int(self.found.way[index])]
             name = self.kit.kinds[way.kind].name
             if (name, way.turn) == (placement.kind, placement.turn):
                 return int(index)
@@ -118,7 +118,8 @@ def make_site(wanted: np.ndarray, kit: Kit, props: bool = False) -> LatticeSite:
     over_start, over = _grouped(found.cell, candidate, cells)
     # A lowest cell of a block has none of the same block below it.
     lowest = [np.array([(x, y, z - 1) not in set(w.cells) for x, y, z in w.cells]) for w in ways]
-    low = np.concatenate([lowest[w] for w in found.way]) if n else np.empty(0, bool)
+    way_of: list[int] = found.way.tolist()
+    low = np.concatenate([lowest[w] for w in way_of]) if n else np.empty(0, bool)
     z = found.cell % wanted.shape[2]
     rests = low & (z > 0) & wanted.reshape(-1)[np.maximum(found.cell - 1, 0)]
     on_start, on = _grouped(found.cell[rests] - 1, candidate[rests], cells)
@@ -313,7 +314,20 @@ class LatticeWorld:
 
 
 @kernel
-def _fill(cells, number, owner, alive, waits, cover, over_start, over, on_start, on, start, cell):
+def _fill(
+    cells: np.ndarray,
+    number: int,
+    owner: np.ndarray,
+    alive: np.ndarray,
+    waits: np.ndarray,
+    cover: np.ndarray,
+    over_start: np.ndarray,
+    over: np.ndarray,
+    on_start: np.ndarray,
+    on: np.ndarray,
+    start: np.ndarray,
+    cell: np.ndarray,
+) -> None:
     """Fill ``cells`` with block ``number``: candidates there are gone, those above come nearer."""
     for c in cells:
         owner[c] = number
@@ -328,7 +342,9 @@ def _fill(cells, number, owner, alive, waits, cover, over_start, over, on_start,
 
 
 @kernel
-def _pack(alive, kind, kinds, start, cell, cells):
+def _pack(
+    alive: np.ndarray, kind: np.ndarray, kinds: int, start: np.ndarray, cell: np.ndarray, cells: int
+) -> np.ndarray:
     taken = np.full((kinds, cells), False)
     count = np.zeros(kinds, np.int64)
     for c in alive:
@@ -401,7 +417,7 @@ def _beds(world: LatticeWorld, candidate: int) -> tuple[np.ndarray, list[int], l
     size_x, size_y, size_z = site.wanted.shape
     dx, dy, dz = site.kit.pitch
     inset = site.kit.joint_gap / 2 + EDGE_INSET * min(dx, dy)
-    cells = site.cells(candidate).tolist()
+    cells: list[int] = site.cells(candidate).tolist()
     own, owner = set(cells), world.owner
     beds: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for cell in cells:
@@ -414,9 +430,9 @@ def _beds(world: LatticeWorld, candidate: int) -> tuple[np.ndarray, list[int], l
     lower: list[int] = []
     share: list[float] = []
     for (base, z), at in sorted(beds.items()):
-        boxes, area = [], 0.0
+        boxes, area = list[tuple[float, float, float, float]](), 0.0
         for x, y in at:
-            sides = []
+            sides = list[float]()
             for u, v in ((-1, 0), (1, 0), (0, -1), (0, 1)):
                 inside = 0 <= x + u < size_x and 0 <= y + v < size_y
                 near = ((x + u) * size_y + y + v) * size_z + z
