@@ -1,6 +1,10 @@
 """Margins hold in every direction: against brute force by a solver of another make.
 
 ``python tests/test_margins.py 10`` prints the figure for 720 directions of 10 stacks.
+
+Loads passed down a stack, block by block or under many blocks at once, against programs.
+
+Blocks that cannot answer alone are balanced with those near them.
 """
 
 from __future__ import annotations
@@ -21,10 +25,19 @@ from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.geometry.circles import inner_circle
+from learn2assemble.linear_programs import INF, Clock, solve
+from learn2assemble.planning.tiling import finished, standing
 from learn2assemble.planning.tiling.exact import plan_exact
+from learn2assemble.planning.tiling.finished import stand
 from learn2assemble.planning.tiling.ordering import to_assembly
+from learn2assemble.planning.tiling.stack import find_stack
+from learn2assemble.planning.tiling.tile import tile
+from learn2assemble.statics.elastic import balance
 from learn2assemble.statics.rigid_blocks import bed_patches, margin
+from learn2assemble.statics.step_proof import TOLERANCE, Proof
+from test_ordering import imbalance
 from test_rigid_blocks import GRAVITY, about, wrenches
+from test_small_designs import random_design
 
 SIDES = 8
 
@@ -130,6 +143,171 @@ def test_the_inner_circle_of_a_square() -> None:
     assert inner_circle(square)[0] == pytest.approx(1.0)
     assert inner_circle(square + 2)[0] == 0.0
     assert inner_circle(np.zeros((4, 2))) == (0.0, 0.0)
+
+
+KIT = load_kit("bricks-lintels")
+
+
+def shell(radius: float, thick: float, levels: int) -> np.ndarray:
+    """A round tower that leans inwards and is closed at the top, so that its rim is weak."""
+    side = int(2 * radius + 1)
+    across = np.arange(side) + 0.5 - side / 2
+    distance = np.hypot(across[:, None], across[None, :])
+    cells = np.zeros((side, side, levels), bool)
+    for z in range(levels):
+        outer = radius - 0.45 * z
+        cells[:, :, z] = (distance < outer) & (distance > max(outer - thick, -1))
+    return cells
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_mended_forces_balance_and_are_found_only_where_a_program_finds_some(seed: int) -> None:
+    """Random piles under accelerations at which many blocks cannot answer alone."""
+    rng = np.random.default_rng(seed)
+    tiling = tile(random_design(rng), KIT)
+    stack = find_stack(tiling.placements, KIT, tiling.wanted.shape)
+    everything = np.ones(len(stack), bool)
+    for size in (0.0, 0.05, 0.1, 0.2):
+        way = rng.normal(size=2)
+        load = float(size * way[0]), float(size * way[1])
+        alone, together = Proof(stack, load), Proof(stack, load)
+        before = together.force.copy()
+        if together.settle(everything, everything, mends=True):
+            assert imbalance(together, everything) <= TOLERANCE
+            assert (together.force >= 0).all()
+            assert Proof(stack, load).program(everything, everything)
+        else:
+            assert not alone.settle(everything, everything)
+            assert (together.force == before).all()
+
+
+def test_blocks_are_mended_where_they_cannot_answer_alone() -> None:
+    """Of a tower that leans inwards under every load up to 0.15 g."""
+    wanted = shell(5.0, 2.4, 12)
+    stack = find_stack(tile(wanted, KIT).placements, KIT, wanted.shape)
+    everything = np.ones(len(stack), bool)
+    for size in (0.0, 0.02, 0.05, 0.1, 0.15):
+        alone, together = Proof(stack, (size, 0.0)), Proof(stack, (size, 0.0))
+        assert not alone.settle(everything, everything)
+        assert together.settle(everything, everything, mends=True)
+        assert imbalance(together, everything) <= TOLERANCE
+
+
+def test_a_tower_is_proven_with_few_programs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Programs over all blocks take most of the time of a large building."""
+    asked = 0
+    program = Proof.program
+
+    def count(
+        self: Proof, placed: np.ndarray, changing: np.ndarray, seconds: float = INF
+    ) -> bool | None:
+        nonlocal asked
+        asked += int(changing.sum() > 1)
+        return program(self, placed, changing, seconds)
+
+    monkeypatch.setattr(Proof, "program", count)
+    _, ordering = plan_exact(shell(5.0, 2.4, 12), KIT, gap=KIT.joint_gap)
+    assert ordering is not None
+    assert ordering.status == "complete"
+    assert asked < len(ordering.steps)
+    assert ordering.margin_g > 0.02
+
+
+def test_cuts_that_are_known_prove_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first tiling is tried again after some rounds; how it falls is known by then."""
+    monkeypatch.setattr(finished, "CUT_ROUNDS", 1)
+    monkeypatch.setattr(finished._NearPart, "decide", lambda *_: ("unknown", None))
+    tiling = tile(random_design(np.random.default_rng(9)), KIT)
+    assert stand(tiling, KIT, Clock(60.0)).status == "complete"
+
+
+def test_a_large_building_that_falls_ends_after_a_few_tilings(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A count, as time depends on the machine; what was tried is said."""
+    monkeypatch.setattr(finished, "MAX_FALLEN", 30)
+    monkeypatch.setattr(finished._NearPart, "decide", lambda *_: ("unknown", None))
+    tiling = tile(random_design(np.random.default_rng(9)), KIT)
+    monkeypatch.setattr(finished, "MIN_ROUNDS", 1)
+    monkeypatch.setattr(finished, "CUT_ROUNDS", 1)
+    stood = stand(tiling, KIT, Clock(60.0))
+    assert stood.status == "not found"
+    assert "4 tilings that were tried" in stood.reason
+
+
+def test_a_program_that_timed_out_is_not_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the parts that are decided with their forces each size has one chance."""
+    asked = []
+
+    def too_slow(*given: object, **_: object) -> tuple[str, None]:
+        asked.append(given[3])
+        return "time", None
+
+    monkeypatch.setattr(finished, "tile_standing", too_slow)
+    monkeypatch.setattr(finished, "CUT_ROUNDS", 0)
+    tiling = tile(random_design(np.random.default_rng(9)), KIT)
+    stand(tiling, KIT, Clock(60.0))
+    assert 1 <= len(asked) <= 2
+
+
+def test_motions_are_not_looked_for_again_at_the_prices_of_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Joints all open by the same: so do they at the next prices."""
+    asked = 0
+
+    def part(price: np.ndarray, closed: np.ndarray) -> np.ndarray | None:
+        nonlocal asked
+        asked += 1
+        return None if closed.any() else np.ones(len(price))
+
+    found = standing._partings(part, np.ones(8), 3, 1e-7)
+    assert len(found) == 1
+    assert found[0].all()
+    assert asked == 3  # twice the same, and that there is no other
+
+
+# Bed forces found at once, against a linear program.
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_forces_balance_and_are_found_exactly_where_a_program_finds_some(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    kit = load_kit("bricks-lintels")
+    tiling = tile(random_design(rng), kit)
+    stack = find_stack(tiling.placements, kit, tiling.wanted.shape)
+    everything = np.ones(len(stack), bool)
+    # Gravity alone, and accelerations up to those at which anything turns over.
+    for size in (0.0, 0.05, 0.3, 1.0):
+        way = rng.normal(size=2)
+        proof = Proof(stack, (size * way[0], size * way[1]))
+        free, _, program = proof._equations(everything, everything)
+        near = rng.exponential(size=len(free)) * (rng.random(len(free)) < 0.5)
+        for start in (np.zeros(len(free)), near):
+            found = balance(program, stack.share[free], start)
+            answer = solve(program)
+            assert (found is not False) == (answer.status == "optimal")
+            if isinstance(found, np.ndarray):
+                columns = np.repeat(np.arange(len(free)), np.diff(program.start))
+                held = np.bincount(
+                    program.index, program.value * found[columns], len(program.row_lower)
+                )
+                assert found.min() >= 0
+                assert np.abs(held - program.row_lower).max() < 1e-9 * program.row_lower.max()
+
+
+def test_forces_are_mostly_found_without_a_program() -> None:
+    """Of a wall under loads at which it stands; None would leave the answer to the program."""
+    kit = load_kit("bricks-lintels")
+    tiling = tile(np.ones((20, 2, 10), bool), kit)
+    stack = find_stack(tiling.placements, kit, (20, 2, 10))
+    everything = np.ones(len(stack), bool)
+    for size, stands in ((0.0, True), (0.05, True), (0.3, False)):
+        proof = Proof(stack, (0.0, size))
+        free, _, program = proof._equations(everything, everything)
+        found = balance(program, stack.share[free], np.zeros(len(free)))
+        assert isinstance(found, np.ndarray) == stands
+        assert (found is False) != stands
 
 
 if __name__ == "__main__":
