@@ -382,6 +382,24 @@ TEETH = "M50 500V300H90V340H130V300H170V340H210V300H250V500Z"
 
 
 @pytest.mark.parametrize(
+    ("left", "words"),
+    [
+        (126, "an opening of 148 × 200 mm becomes 100 × 200 mm"),
+        (124, "an opening of 152 × 200 mm becomes 200 × 200 mm"),
+        (100, ""),
+    ],
+)
+def test_an_opening_that_gets_narrower_or_wider_is_said(
+    tmp_path: Path, left: int, words: str
+) -> None:
+    """A doorway in the middle of a wall of 400 x 300 mm."""
+    right = 400 - left
+    note = _read(tmp_path, f"M0 300V0H400V300H{right}V100H{left}V300Z").note
+    assert words in note
+    assert ("becomes" in note) == bool(words)
+
+
+@pytest.mark.parametrize(
     ("path", "words"),
     [
         (WINDOW, "an opening of 50 × 100 mm"),

@@ -1,4 +1,5 @@
-"""What cells cannot show of a drawing: windows that vanish, teeth and piers that do.
+"""What cells cannot show of a drawing: windows that vanish or get narrower, teeth and piers that
+vanish.
 
 Cells take what is half full, so a window that lies across two cells can vanish although nearly all
 of the drawing is kept, and the share in common says nothing of it. Here the outline is compared
@@ -26,6 +27,9 @@ SLIT = 0.2
 """A hole that vanishes altogether is one from this width on [cells]."""
 FINER = (2, 3, 4)
 """Into so many parts the edges of a cell are divided to find one that keeps everything."""
+RESIZED = 0.7
+"""By so much an opening is wider or higher than drawn, or less, before it is said [cells]: each of
+its edges may move by half a cell."""
 ALIKE = 1e-4
 """Lengths that differ by less are equal [cells]: what numbers of a file are rounded to."""
 
@@ -44,6 +48,8 @@ class Lost(NamedTuple):
     """[m]"""
     high: float
     """[m]"""
+    shown: tuple[float, float] | None = None
+    """How wide and high the cells show it [m]; None: not at all."""
 
 
 def lost_features(
@@ -119,15 +125,27 @@ def _size(cell: tuple[float, float]) -> str:
 
 
 def lost_words(found: list[Lost], finer: tuple[float, float] | None) -> str:
-    """One line, e.g. ``cells of 50 mm lose an opening of 50 × 100 mm; cells of 25 mm keep it``."""
-    kinds = {what: [one for one in found if one.what == what] for what in (_OPENING, _PART)}
+    """One line, e.g. ``not shown by the cells: an opening of 50 × 100 mm; shown by cells of 25
+    mm``."""
     words: list[str] = []
+    resized = [one for one in found if one.shown is not None]
+    if resized:
+        one = resized[0]
+        assert one.shown is not None
+        sizes = f"{millimetres(one.wide, one.high)} becomes {millimetres(*one.shown)}"
+        more = f" ({len(resized)} openings change)" if len(resized) > 1 else ""
+        words.append(f"an opening of {sizes}{more}")
+    lost = [one for one in found if one.shown is None]
+    kinds = {what: [one for one in lost if one.what == what] for what in (_OPENING, _PART)}
+    first = len(words)
     for what, ones in kinds.items():
         if ones:
             size = millimetres(ones[0].wide, ones[0].high)
             many = f"{len(ones)} {what}s of up to {size}" if len(ones) > 1 else f"{what} of {size}"
             words.append(many if len(ones) > 1 else f"{_ARTICLE[what]} {many}")
-    text = "not shown by the cells: " + ", ".join(words)
+    if len(words) > first:
+        words[first] = f"not shown by the cells: {words[first]}"
+    text = "; ".join(words[:first] + [", ".join(words[first:])] * (len(words) > first))
     if finer is not None:
         text += f"; shown by cells of {_size(finer)}"
     return text
@@ -146,7 +164,11 @@ def _lost(walls: list[Contours], fitted: Fitted, edges: tuple[float, float]) -> 
         drawn = _area([contour * scale for contour in contours])
         cells = _cells(share[:, k] >= HALF, (first[0], first[2]), scale)
         closed = [hole for hole in _holes(drawn, SLIT * min(edges)) if hole.within(cells)]
-        filled = [one for one in _features(cells - drawn, radius) if one.disjoint(_all(closed))]
+        resized, around = _resized(drawn, cells, scale)
+        found += resized
+        # What narrows an opening is said of the opening.
+        told = _all([*closed, *around]).buffer(ALIKE * min(edges))
+        filled = [one for one in _features(cells - drawn, radius) if one.disjoint(told)]
         for what, ones in (
             (_OPENING, [*filled, *closed]),
             (_PART, _features(drawn - cells, radius)),
@@ -155,6 +177,43 @@ def _lost(walls: list[Contours], fitted: Fitted, edges: tuple[float, float]) -> 
                 low_x, low_z, high_x, high_z = one.bounds
                 found.append(Lost(what, high_x - low_x, high_z - low_z))
     return sorted(found, key=lambda one: (-round(one.wide * one.high, 9), one.what))
+
+
+def _resized(drawn: Any, cells: Any, scale: np.ndarray) -> tuple[list[Lost], list[Any]]:
+    """Openings that the cells show narrower, lower, wider or higher, and where these are drawn."""
+    found: list[Lost] = []
+    where: list[Any] = []
+    here, there = _openings(drawn, scale), _openings(cells, scale)
+    for opening in here:
+        shown = [one for one in there if one.intersection(opening).area > 0]
+        if len(shown) != 1 or sum(shown[0].intersects(one) for one in here) > 1:
+            continue
+        sizes = [np.subtract(one.bounds[2:], one.bounds[:2]) for one in (opening, shown[0])]
+        if (np.abs(sizes[0] - sizes[1]) >= RESIZED * scale).any():
+            now = float(sizes[1][0]), float(sizes[1][1])
+            found.append(Lost(_OPENING, float(sizes[0][0]), float(sizes[0][1]), now))
+            where.append(opening)
+    return found, where
+
+
+def _openings(area: Any, scale: np.ndarray) -> list[Any]:
+    """What an area leaves free of the rectangle around it, with something on either side."""
+    import shapely
+
+    library: Any = shapely
+    left, low, right, high = area.bounds
+    slack = ALIKE * float(scale.min())
+    rest: Any = library.box(left, low, right, high) - area
+    # Without the slivers that rounding leaves between cells.
+    rest = rest.buffer(-slack, join_style="mitre").buffer(slack, join_style="mitre")
+    ones: list[Any] = list(getattr(rest, "geoms", [rest]))
+    return [
+        one
+        for one in ones
+        if not one.is_empty
+        and one.bounds[0] > left + 2 * slack
+        and one.bounds[2] < right - 2 * slack
+    ]
 
 
 def _area(contours: Contours) -> Any:
