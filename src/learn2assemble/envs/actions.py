@@ -257,7 +257,9 @@ class FlatActions:
         task, batch, n = self.task, state.batch_size, self.task.num_nodes
         nodes, object_id, counts = empty_graph(batch, n)
         coverage, compiled = np.empty((2, batch)), surveys and task.objects == "cubes"
-        legal, stable = np.zeros((2, batch, n, n, task.num_actions), np.bool_)
+        masks = np.zeros((2, batch, n, n, task.num_actions), np.bool_)
+        # Indexed, as taking an array apart costs as much as the compiled call.
+        legal, stable = masks[0], masks[1]
         undecided = _see(
             state,
             self.simulator.frames,
@@ -274,8 +276,8 @@ class FlatActions:
         flat = stable.reshape(batch, -1)
         if surveys and (undecided or not compiled):
             flat = expand_mask(task, state, self.simulator.physics_mask(state))
-        graph = Graph(nodes, object_id, *counts)
-        return Seen(graph, legal.reshape(batch, -1), flat, *coverage)
+        graph = Graph(nodes, object_id, counts[0], counts[1], counts[2])
+        return Seen(graph, legal.reshape(batch, -1), flat, coverage[0], coverage[1])
 
     def resolve(self, state: State, numbers: np.ndarray) -> tuple[np.ndarray, ...]:
         """Actions int64[B, 3] for :meth:`Simulator.step`; bool[B], which were clipped; and

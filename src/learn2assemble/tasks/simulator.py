@@ -276,7 +276,8 @@ class Simulator:
             self.physics.prepare(state, np.flatnonzero(~state.terminated), actions)
         reward, ended = np.zeros(batch), np.zeros(batch, np.bool_)
         success, verdict = np.zeros(batch, np.bool_), np.zeros(batch, np.int8)
-        previous, pending, scored = np.empty((3, batch), np.int64)
+        scratch = np.empty((3, batch), np.int64)
+        previous, pending, scored = scratch[0], scratch[1], scratch[2]
         results = reward, ended, success
         cubes = self.task.objects == "cubes"
         left = _advance(

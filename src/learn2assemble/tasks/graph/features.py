@@ -82,7 +82,7 @@ def build_graph(state: State, frames: np.ndarray, num_nodes: int) -> Graph:
     """
     nodes, object_id, counts = empty_graph(state.batch_size, num_nodes)
     _build(state, frames, nodes, object_id, counts)
-    return Graph(nodes, object_id, *counts)
+    return Graph(nodes, object_id, counts[0], counts[1], counts[2])
 
 
 def node_offset(graph: Graph) -> np.ndarray:
