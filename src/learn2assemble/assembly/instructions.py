@@ -21,7 +21,7 @@ from learn2assemble.assembly.appearance import (
     sections,
 )
 from learn2assemble.assembly.blocks import Action, Assembly
-from learn2assemble.assembly.shapes import BlockShape, Shapes, Turn
+from learn2assemble.assembly.shapes import BlockShape, Named, Shapes, Turn
 
 MOST_TOGETHER = 6
 """Blocks of one step of the instructions."""
@@ -170,11 +170,7 @@ def instructions(assembly: Assembly) -> Instructions:
     finished = np.concatenate([block.vertices for block in assembly.finished.blocks])
     origin, high = finished.min(0), finished.max(0)
     joint = joint_width(assembly)
-    shapes = Shapes(origin, joint)
-    left_out = set(assembly.not_built)
-    for block, (kind, colour) in zip(assembly.blocks, kinds_and_colours(assembly), strict=True):
-        if block.id not in left_out:
-            shapes.add(block, kind, colour)
+    shapes = shapes_of(assembly, origin, joint)
     steps: list[tuple[int, Action]] = [(assembly.index(s.block), s.action) for s in assembly.steps]
     steps = steps or [(k, "place") for k, b in enumerate(assembly.blocks) if not b.support]
     told = assembly.at_first if assembly.steps else [b.support for b in assembly.blocks]
@@ -188,6 +184,22 @@ def instructions(assembly: Assembly) -> Instructions:
         tuple(_placement(assembly, shapes, k, 0, "place") for k, there in enumerate(told) if there),
         tuple(_groups(assembly, placements, origin[2])),
     )
+
+
+def shapes_of(
+    assembly: Assembly, origin: np.ndarray, joint: float, coloured: bool = True
+) -> Shapes:
+    """The shapes of all blocks, those that are not built after the others.
+
+    Args:
+        origin: O, float64[3] [m, world].
+        joint: width of vertical joints of a lattice [m].
+        coloured: whether blocks of two colours have two shapes.
+    """
+    left_out = set(assembly.not_built)
+    pairs = zip(assembly.blocks, kinds_and_colours(assembly), strict=True)
+    named = [Named(block, kind, colour if coloured else "") for block, (kind, colour) in pairs]
+    return Shapes(origin, joint, sorted(named, key=lambda one: one.block.id in left_out))
 
 
 def _placement(
