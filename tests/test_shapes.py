@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, hull_block
 from learn2assemble.assembly.boxes import box_block
+from learn2assemble.assembly.files import write_assembly
 from learn2assemble.assembly.instruction_words import corner_words
 from learn2assemble.assembly.instructions import instructions
 from learn2assemble.assembly.shapes import rotation
+from learn2assemble.cli import main
+from learn2assemble.export.formats import bill_of_blocks
 from read_back import ALLOWED, PRINTED, largest_error
 
 
@@ -87,6 +94,35 @@ def test_the_printed_numbers_of_any_pose_are_enough(document: str) -> None:
     assert told.placements[0].turn == (0, 0, 0)
     assert told.placements[1].turn == pytest.approx((0, 0, 30))
     assert largest_error(made, PRINTED[document](made)) <= ALLOWED
+
+
+def test_the_bill_lists_the_shapes_of_the_cards() -> None:
+    made = temple()
+    told = instructions(made)
+    rows = list(csv.DictReader(io.StringIO(bill_of_blocks(made))))
+    assert [(row["shape"], row["kind"], int(row["built_in"])) for row in rows] == [
+        (line.shape.letter, line.shape.kind, line.built) for line in told.bill
+    ]
+    for row, line in zip(rows, told.bill, strict=True):
+        sizes = [float(row[name]) for name in ("length_m", "width_m", "height_m")]
+        assert sizes == pytest.approx(line.shape.size, rel=1e-5)
+        assert float(row["mass_kg"]) == pytest.approx(line.shape.mass, rel=1e-5)
+    mass = sum(int(row["built_in"]) * float(row["mass_kg"]) for row in rows)
+    assert mass == pytest.approx(sum(block.mass for block in made.blocks), rel=1e-5)
+
+
+def test_the_terminal_lists_the_shapes_of_the_cards(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_assembly(temple(), tmp_path / "temple.json")
+    main(["build", str(tmp_path / "temple.json"), "--gap", "0", "--out", str(tmp_path / "out")])
+    said = re.findall(r"^ *(\S+ × \S+ × \S+ mm) +(\d+)$", capsys.readouterr().out, re.MULTILINE)
+    assert said == [
+        ("80 × 80 × 100 mm", "3"),
+        ("100 × 100 × 30 mm", "3"),
+        ("170 × 100 × 40 mm", "2"),
+        ("340 × 100 × 80 mm", "1"),
+    ]
 
 
 def test_one_that_stands_shows_how_a_shape_is_drawn() -> None:

@@ -187,15 +187,20 @@ def instructions(assembly: Assembly) -> Instructions:
 
 
 def shapes_of(
-    assembly: Assembly, origin: np.ndarray, joint: float, coloured: bool = True
+    assembly: Assembly,
+    origin: np.ndarray | None = None,
+    joint: float = 0.0,
+    coloured: bool = True,
 ) -> Shapes:
     """The shapes of all blocks, those that are not built after the others.
 
     Args:
-        origin: O, float64[3] [m, world].
+        assembly: their letters are those of its instructions.
+        origin: O, float64[3] [m, world]; the world's where places are not asked for.
         joint: width of vertical joints of a lattice [m].
-        coloured: whether blocks of two colours have two shapes.
+        coloured: whether blocks of two colours have two shapes, as on page and cards.
     """
+    origin = np.zeros(3) if origin is None else origin
     left_out = set(assembly.not_built)
     pairs = zip(assembly.blocks, kinds_and_colours(assembly), strict=True)
     named = [Named(block, kind, colour if coloured else "") for block, (kind, colour) in pairs]
