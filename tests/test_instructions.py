@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import io
 import re
 from dataclasses import replace
@@ -61,6 +62,34 @@ def wide(count: int) -> Assembly:
 def test_blocks_where_nothing_is_at_stake_are_one_step() -> None:
     groups = instructions(wide(MOST_TOGETHER + 2)).groups
     assert [len(group.placements) for group in groups] == [MOST_TOGETHER, 2]
+
+
+def test_steps_have_one_number_and_cards_another() -> None:
+    """Page, plan and cards count the same steps; a card says which of them it tells."""
+    made = wide(MOST_TOGETHER + 2)
+    count = MOST_TOGETHER + 2
+    text = cards_text(made)
+    assert f"|{count} blocks in {count} steps and 1 layer, told on 2 cards|" in text
+    assert f"|Steps 1 to {MOST_TOGETHER}|card 1 of 2|" in text
+    assert f"|Steps {count - 1} and {count}|card 2 of 2|" in text
+    lone = Assembly(made.blocks[:1], made.steps[:1])
+    assert "|Step 1|card 1 of 1|" in cards_text(lone)
+    if importlib.util.find_spec("pypdf"):
+        assert f"|Steps 1 to {MOST_TOGETHER}|card 1 of 2|" in PRINTED["PDF"](made)
+
+
+def test_what_is_said_of_other_steps_are_numbers_of_the_plan() -> None:
+    """Six blocks on one card, a prop as step 7 on the second, which step 9 takes away."""
+    row = wide(MOST_TOGETHER).blocks
+    more = (
+        box_block("p", (0.05, 0, 0), (0.1, 0.05, 0.05), prop=True),
+        box_block("l", (0, 0, 0.05), (0.15, 0.05, 0.1)),
+    )
+    blocks = (*row, *more)
+    steps = (*(AssemblyStep(block.id) for block in blocks), AssemblyStep(remove="p"))
+    text = cards_text(Assembly(blocks, steps))
+    assert f"|Step {MOST_TOGETHER + 1}|card 2 of 4|" in text
+    assert f"it stands only for a while until step {MOST_TOGETHER + 3}" in text
 
 
 def test_what_hangs_over_and_props_are_steps_of_their_own() -> None:

@@ -29,7 +29,7 @@ _UNITS = 40
 
 
 def step_cards(assembly: Assembly) -> str:
-    """A stand-alone HTML document: a cover with the bill of blocks, and a card for every step.
+    """A stand-alone HTML document: a cover with the bill of blocks, and cards that tell the steps.
 
     What the cards say is :func:`learn2assemble.assembly.instructions.instructions`; equal figures
     are stored once.
@@ -71,10 +71,9 @@ def _card(pen: _CardPen, card: Card) -> str:
     )
     part = f"<ul>{wanted}</ul>" if wanted else ""
     label = f"{card.heading}: {', '.join(card.wanted) or _DONE[card.group.main.action]}"
-    return (
-        f"<article><h3>{card.heading}</h3>{part}{words}{pen.draw(card.picture, label)}"
-        f"{_table(HEAD, card.rows)}</article>"
-    )
+    head = f"<h3>{card.heading} <small>{card.number}</small></h3>"
+    picture = pen.draw(card.picture, label)
+    return f"<article>{head}{part}{words}{picture}{_table(HEAD, card.rows)}</article>"
 
 
 def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]], name: str = "") -> str:

@@ -211,6 +211,7 @@ class _Pages:
         self.canvas.line(x, y, x + _COLUMN, y)
         y -= 15
         self._write(x, y, card.heading, 12, bold=True)
+        self._write(x + _COLUMN, y, card.number, 8, _SOFT, "right")
         y -= 3
         for (shape, _), text in zip(card.group.wanted, card.wanted, strict=True):
             y -= _LINE

@@ -20,6 +20,7 @@ from learn2assemble.assembly.instruction_words import (
     name_words,
     place_words,
     placement_words,
+    steps_words,
     way_words,
 )
 from learn2assemble.assembly.instructions import (
@@ -87,9 +88,12 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class Card:
-    """One step of the instructions, ready to be drawn."""
+    """What one card tells, ready to be drawn."""
 
     heading: str
+    """Its steps."""
+    number: str
+    """Which card of how many it is."""
     words: tuple[str, ...]
     wanted: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -123,7 +127,7 @@ def booklet(assembly: Assembly) -> Booklet:
     scene = DrawnScene(told)
     spacing = _spacing(told, scene.usual)
     layers = len({group.layer for group in told.groups})
-    until = {p.block: g.number for g in told.groups for p in g.placements if p.action == "remove"}
+    until = {p.block: p.number for p in told.placements if p.action == "remove"}
     whole = _grid((0, 0), tuple(told.extent[:2]), 0.0, spacing, float(told.extent[2]))
     common = _Common(told, scene, spacing, whole, layers, until, {})
     cards = list[Card]()
@@ -171,7 +175,7 @@ class _Common(NamedTuple):
 
 
 def _card(common: _Common, group: Group, standing: set[int]) -> Card:
-    """The card of a step.
+    """A card.
 
     Args:
         standing: blocks that stand before it.
@@ -259,7 +263,8 @@ def _card(common: _Common, group: Group, standing: set[int]) -> Card:
     )
     words = _words(told, group, layers, until)
     rows = tuple(_rows(group))
-    return Card(f"Step {group.number}", words, wanted, rows, picture, group)
+    number = f"card {group.number} of {len(told.groups)}"
+    return Card(steps_words(group), number, words, wanted, rows, picture, group)
 
 
 def _words(told: Instructions, group: Group, layers: int, until: dict[int, int]) -> tuple[str, ...]:
@@ -267,8 +272,8 @@ def _words(told: Instructions, group: Group, layers: int, until: dict[int, int])
     words = list[str]()
     if group.first:
         words.append(
-            f"Layer {group.layer} of {layers}, from {length_words(group.level)} mm up. Block "
-            f"{main.number}: {place_words(main)}."
+            f"Layer {group.layer} of {layers}, from {length_words(group.level)} mm up. Its "
+            f"first block, of step {main.number}: {place_words(main)}."
         )
     done = done_words(told, group)
     words += [*map(before_words, group.placements), done]
@@ -291,7 +296,7 @@ def _words(told: Instructions, group: Group, layers: int, until: dict[int, int])
 
 
 def _rows(group: Group) -> list[tuple[str, ...]]:
-    """A line for every block of a step, with the numbers of all that is done with it."""
+    """A line for every block of a card, with the numbers of all that is done with it."""
     numbers: dict[int, list[str]] = {}
     for p in group.placements:
         numbers.setdefault(p.block, []).append(str(p.number))
