@@ -15,6 +15,7 @@ from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.instructions import MOST_TOGETHER, instructions
 from learn2assemble.export.cards import step_cards
 from learn2assemble.export.pdf import pdf
+from learn2assemble.export.pictures import booklet
 from learn2assemble.export.projection import DrawnScene
 from learn2assemble.viewer.page import render_assembly_page
 from read_back import (
@@ -206,3 +207,43 @@ def test_what_is_written_at_a_grid_lies_inside_the_picture() -> None:
     assert any(words.startswith("z ") for _, words in labels)
     assert all(left <= int(x) - 0.6 * font * len(words) for x, words in labels)
     assert all(int(x) <= left + width for x, _ in labels)
+
+
+def test_shapes_are_drawn_at_one_scale() -> None:
+    """On the cards a block of eight studs is some eight times as long as one of one stud."""
+    blocks = (
+        box_block("one", (0, 0, 0), (0.05, 0.05, 0.05)),
+        box_block("eight", (0, 0.1, 0), (0.4, 0.15, 0.05)),
+        box_block("ground", (-1, -1, -0.1), (1, 1, 0), support=True),
+    )
+    steps = tuple(AssemblyStep(block.id) for block in blocks[:2])
+    figures = re.findall(
+        r'<figure><svg viewBox="\S+ \S+ (\d+) (\d+)".*? style="width:([\d.]+)rem">.*?'
+        r"<figcaption>([^<]*)<",
+        step_cards(Assembly(blocks, steps)),
+    )
+    scales = {words: float(width) / float(units) for units, _, width, words in figures}
+    assert list(scales) == ["A", "B", "C (smaller scale)"]
+    assert scales["A"] == pytest.approx(scales["B"], rel=0.03)
+    assert scales["C (smaller scale)"] < 0.5 * scales["A"]
+    shapes = {shape.letter: picture for shape, picture in booklet(Assembly(blocks, steps)).shapes}
+    assert shapes["A"].within == shapes["B"].within
+    assert shapes["C"].within is None
+
+
+def test_a_card_is_no_higher_than_what_it_shows() -> None:
+    """Cards have one scale and one place of O; their pictures grow with what stands."""
+    rows = [box_block(f"b{k}", (0, 0, 0.05 * k), (0.05, 0.05, 0.05 * k + 0.05)) for k in range(12)]
+    made = Assembly(tuple(rows), tuple(AssemblyStep(block.id) for block in rows))
+    pictures = [card.picture for card in booklet(made).cards]
+    assert len({picture.within for picture in pictures}) == 1
+    assert len({(*picture.low.tolist(), picture.high[0]) for picture in pictures}) == 1
+    scene = booklet(made).scene
+    for picture in pictures:
+        drawn = [scene.figures[use.name].frame[1, 1] + use.at[1] for use in picture.uses]
+        ends = [arrow[0][1] for arrow in picture.arrows] + [
+            line.max(0)[1] for line in picture.grid.lines
+        ]
+        assert picture.high[1] - max(drawn + ends) < 0.1 * pictures[-1].size[1]
+    blocks_alone = booklet(made).cover
+    assert blocks_alone.size[1] <= pictures[-1].size[1], "nothing comes any more"
