@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import inspect
 import io
 import re
 from dataclasses import replace
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import learn2assemble as l2a
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, hull_block
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.files import write_assembly
@@ -179,3 +181,16 @@ def test_mirror_images_that_stand_are_two_shapes_in_the_order_of_the_blocks() ->
     blocks.append(turned(blocks[1], (15, 25, 35), "tip2"))
     told = instructions(Assembly(tuple(blocks)))
     assert [p.shape.letter for p in told.placements] == ["A", "B", "C", "B"]
+
+
+def test_the_ways_to_make_blocks_are_as_documented() -> None:
+    """``docs/design_files.md`` gives the arguments in the order of the functions."""
+    text = (Path(__file__).resolve().parents[1] / "docs" / "design_files.md").read_text("utf-8")
+    told = dict(re.findall(r"^\| `l2a\.(\w+)\(([\w, ]+), \*\*more\)` \|", text, re.MULTILINE))
+    assert set(told) == {"box_block", "hull_block", "Block"}
+    for name, words in told.items():
+        parameters = list(inspect.signature(getattr(l2a, name)).parameters)
+        assert parameters[: words.count(",") + 1] == words.split(", "), name
+    fields = inspect.signature(Block).parameters
+    more = re.findall(r"`(\w+)` \(", text.split("`more`, by name")[1].split("\n")[0])
+    assert set(more) == set(fields) - {"id", "vertices", "faces"}
