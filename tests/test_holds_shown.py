@@ -152,8 +152,7 @@ def test_cards_say_and_draw_what_a_hand_does() -> None:
     id_ = assembly.blocks[new.block].id
     placed = next(k for k, s in enumerate(assembly.steps, 1) if s.place == let_go)
     assert words.endswith(
-        f"Place block {id_} and hold it; let go of block {let_go} of "
-        f"{cards[placed].heading.lower()}."
+        f"Place block {id_} and hold it; let go of block {let_go} of step {placed}."
     )
     assert assembly.steps[-1].action == "release"
     assert cards[len(assembly.steps)].group.held == frozenset()

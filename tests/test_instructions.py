@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import io
 import re
 from dataclasses import replace
@@ -14,6 +15,7 @@ from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.instructions import MOST_TOGETHER, instructions
 from learn2assemble.export.cards import step_cards
 from learn2assemble.export.pdf import pdf
+from learn2assemble.export.pictures import booklet
 from learn2assemble.export.projection import DrawnScene
 from learn2assemble.viewer.page import render_assembly_page
 from read_back import (
@@ -61,6 +63,34 @@ def wide(count: int) -> Assembly:
 def test_blocks_where_nothing_is_at_stake_are_one_step() -> None:
     groups = instructions(wide(MOST_TOGETHER + 2)).groups
     assert [len(group.placements) for group in groups] == [MOST_TOGETHER, 2]
+
+
+def test_steps_have_one_number_and_cards_another() -> None:
+    """Page, plan and cards count the same steps; a card says which of them it tells."""
+    made = wide(MOST_TOGETHER + 2)
+    count = MOST_TOGETHER + 2
+    text = cards_text(made)
+    assert f"|{count} blocks in {count} steps and 1 layer, told on 2 cards|" in text
+    assert f"|Steps 1 to {MOST_TOGETHER}|card 1 of 2|" in text
+    assert f"|Steps {count - 1} and {count}|card 2 of 2|" in text
+    lone = Assembly(made.blocks[:1], made.steps[:1])
+    assert "|Step 1|card 1 of 1|" in cards_text(lone)
+    if importlib.util.find_spec("pypdf"):
+        assert f"|Steps 1 to {MOST_TOGETHER}|card 1 of 2|" in PRINTED["PDF"](made)
+
+
+def test_what_is_said_of_other_steps_are_numbers_of_the_plan() -> None:
+    """Six blocks on one card, a prop as step 7 on the second, which step 9 takes away."""
+    row = wide(MOST_TOGETHER).blocks
+    more = (
+        box_block("p", (0.05, 0, 0), (0.1, 0.05, 0.05), prop=True),
+        box_block("l", (0, 0, 0.05), (0.15, 0.05, 0.1)),
+    )
+    blocks = (*row, *more)
+    steps = (*(AssemblyStep(block.id) for block in blocks), AssemblyStep(remove="p"))
+    text = cards_text(Assembly(blocks, steps))
+    assert f"|Step {MOST_TOGETHER + 1}|card 2 of 4|" in text
+    assert f"it stands only for a while until step {MOST_TOGETHER + 3}" in text
 
 
 def test_what_hangs_over_and_props_are_steps_of_their_own() -> None:
@@ -177,3 +207,43 @@ def test_what_is_written_at_a_grid_lies_inside_the_picture() -> None:
     assert any(words.startswith("z ") for _, words in labels)
     assert all(left <= int(x) - 0.6 * font * len(words) for x, words in labels)
     assert all(int(x) <= left + width for x, _ in labels)
+
+
+def test_shapes_are_drawn_at_one_scale() -> None:
+    """On the cards a block of eight studs is some eight times as long as one of one stud."""
+    blocks = (
+        box_block("one", (0, 0, 0), (0.05, 0.05, 0.05)),
+        box_block("eight", (0, 0.1, 0), (0.4, 0.15, 0.05)),
+        box_block("ground", (-1, -1, -0.1), (1, 1, 0), support=True),
+    )
+    steps = tuple(AssemblyStep(block.id) for block in blocks[:2])
+    figures = re.findall(
+        r'<figure><svg viewBox="\S+ \S+ (\d+) (\d+)".*? style="width:([\d.]+)rem">.*?'
+        r"<figcaption>([^<]*)<",
+        step_cards(Assembly(blocks, steps)),
+    )
+    scales = {words: float(width) / float(units) for units, _, width, words in figures}
+    assert list(scales) == ["A", "B", "C (smaller scale)"]
+    assert scales["A"] == pytest.approx(scales["B"], rel=0.03)
+    assert scales["C (smaller scale)"] < 0.5 * scales["A"]
+    shapes = {shape.letter: picture for shape, picture in booklet(Assembly(blocks, steps)).shapes}
+    assert shapes["A"].within == shapes["B"].within
+    assert shapes["C"].within is None
+
+
+def test_a_card_is_no_higher_than_what_it_shows() -> None:
+    """Cards have one scale and one place of O; their pictures grow with what stands."""
+    rows = [box_block(f"b{k}", (0, 0, 0.05 * k), (0.05, 0.05, 0.05 * k + 0.05)) for k in range(12)]
+    made = Assembly(tuple(rows), tuple(AssemblyStep(block.id) for block in rows))
+    pictures = [card.picture for card in booklet(made).cards]
+    assert len({picture.within for picture in pictures}) == 1
+    assert len({(*picture.low.tolist(), picture.high[0]) for picture in pictures}) == 1
+    scene = booklet(made).scene
+    for picture in pictures:
+        drawn = [scene.figures[use.name].frame[1, 1] + use.at[1] for use in picture.uses]
+        ends = [arrow[0][1] for arrow in picture.arrows] + [
+            line.max(0)[1] for line in picture.grid.lines
+        ]
+        assert picture.high[1] - max(drawn + ends) < 0.1 * pictures[-1].size[1]
+    blocks_alone = booklet(made).cover
+    assert blocks_alone.size[1] <= pictures[-1].size[1], "nothing comes any more"

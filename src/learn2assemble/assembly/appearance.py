@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -42,6 +42,11 @@ _MANY = 200
 _LEVEL = 1e-6
 """Sine of the angle below which a face counts as level or upright, and lengths that count as
 nothing, as a share of the block's size."""
+_STEADY = 1e-5
+"""How far out of level the face may be on which a block stands, in extents of the block: less than
+the hundredth of a degree to which turns are told."""
+_MOST_LOOKED_AT = 240
+"""Blocks of so many different shapes have more sizes than there are colours."""
 
 
 def rgb(colour: str) -> np.ndarray:
@@ -71,28 +76,33 @@ def kinds_and_colours(assembly: Assembly) -> list[tuple[str, str]]:
 
 
 def _sizes(blocks: list[Block]) -> Iterator[str] | None:
-    """The size of each block, laid down where it leans; None where they are too many."""
-    known: dict[bytes, str] = {}
-    examples: list[tuple[np.ndarray, str]] = []
-    found = list[str]()
-    for block in blocks:
+    """The size of each block as its shape is drawn; None where they are too many."""
+    known: dict[bytes, int] = {}
+    apart_of = list[np.ndarray]()
+    members = list[list[int]]()
+    shape_of = list[int]()
+    for number, block in enumerate(blocks):
         key = ((block.vertices - block.vertices[0]) / 1e-6).round().tobytes()
         if key not in known:
             apart = spread(block.vertices)
             same = (
-                words
-                for other, words in examples
+                k
+                for k, other in enumerate(apart_of)
                 if other.shape == apart.shape and np.abs(other - apart).max() <= _ALIKE
             )
-            words = next(same, "")
-            if not words:
-                words = millimetres(*np.ptp(block.vertices @ laid_down(block).T, axis=0))
-                examples.append((apart, words))
-            if len({words for _, words in examples}) > len(PALETTE):
+            known[key] = next(same, len(apart_of))
+            if known[key] == len(apart_of):
+                apart_of.append(apart)
+                members.append([])
+            if len(apart_of) > _MOST_LOOKED_AT:
                 return None
-            known[key] = words
-        found.append(known[key])
-    return iter(found)
+        shape_of.append(known[key])
+        members[known[key]].append(number)
+    words = list[str]()
+    for numbers in members:
+        k, turning = drawn_as([blocks[n] for n in numbers])
+        words.append(millimetres(*np.ptp(blocks[numbers[k]].vertices @ turning.T, axis=0)))
+    return iter([words[k] for k in shape_of]) if len(set(words)) <= len(PALETTE) else None
 
 
 def spread(corners: np.ndarray) -> np.ndarray:
@@ -103,18 +113,97 @@ def spread(corners: np.ndarray) -> np.ndarray:
     return np.sort(np.linalg.norm(corners[:, None] - corners, axis=-1), None)
 
 
-def laid_down(block: Block) -> np.ndarray:
-    """float64[3, 3]: turns a block onto its largest face, its longest edge along x.
+def drawn_as(blocks: Sequence[Block]) -> tuple[int, np.ndarray]:
+    """How the shape of blocks that are alike is drawn.
 
-    A block whose edges run along the axes keeps what is up, with its longer side along x; any other
-    that has a level face below is left as it is, and so is a post with a cut top.
+    It is drawn as the first of them stands that has level faces below and above, or that is a post;
+    where at least half of them have a level face below or above, as the first of those. Otherwise
+    none shows how it stands, as of the wedges of an arch, and the first lies on its largest face.
+    Its longest edge goes along x.
+
+    Args:
+        blocks: in the order in which they are given.
+
+    Returns:
+        Which of the blocks is drawn, and the rotation that turns it to be so, float64[3, 3].
     """
+    known: dict[tuple[object, bytes], int] = {}
+    found = list[int]()
+    for block in blocks:
+        relative = ((block.vertices - block.vertices[0]) / 1e-7).round()
+        key = block.faces, relative.tobytes()
+        if key not in known:
+            known[key] = _level_ends(block)
+        found.append(known[key])
+        if known[key] == 2:
+            return len(found) - 1, _along_x(block)
+    if 2 * sum(found) >= len(found):
+        first = found.index(1)
+        return first, _along_x(blocks[first])
+    return 0, _laid_down(blocks[0])
+
+
+def _level_ends(block: Block) -> int:
+    """How many of the lower and upper ends of a block are a level face; 2 of a post, and of a block
+    whose edges run along the axes."""
+    if block.kind == POST or is_square(block):
+        return 2
+    z = block.vertices[:, 2]
+    near = _STEADY * block.extent
+    low, high = z <= z.min() + near, z >= z.max() - near
+    return sum(any(end[list(face)].all() for face in block.faces) for end in (low, high))
+
+
+def _along_x(block: Block) -> np.ndarray:
+    """float64[3, 3]: turns a block about z until its longest level edge goes along x, by no more
+    than is needed; of a block whose edges run along the axes, its longer side.
+
+    A block with more than two longest edges, such as a round column, stays as it is.
+    """
+    quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     if is_square(block):
         x, y, _ = np.ptp(block.vertices, axis=0)
-        quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
         return quarter if y > x + 1e-6 else np.eye(3)
-    if is_prism(block) or block.kind == POST:
+    edges = _sharp_edges(block)
+    edges = edges[np.abs(edges[:, 2]) <= _STEADY * block.extent, :2]
+    if not len(edges):
         return np.eye(3)
+    length = np.linalg.norm(edges, axis=1)
+    edges = edges[length >= length.max() - _ALIKE]
+    # Of a line, so that half a turn is none.
+    angles = np.sort(np.arctan2(edges[:, 1], edges[:, 0]) % np.pi)
+    ends = np.concatenate([angles, angles[:1] + np.pi])
+    if (np.diff(ends) > 1e-3).sum() > 2:
+        return np.eye(3)
+    angles = np.where(angles > np.pi / 2 + 1e-6, angles - np.pi, angles)
+    turn = -float(angles[np.argmin(np.abs(angles).round(6))])
+    if abs(turn) <= 1e-6:
+        return np.eye(3)
+    if abs(abs(turn) - np.pi / 2) <= 1e-6:
+        return quarter
+    cos, sin = np.cos(turn), np.sin(turn)
+    return np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+
+
+def _sharp_edges(block: Block) -> np.ndarray:
+    """float64[E, 3]: from end to end of every edge but those between faces in one plane [m]."""
+    normal_of: dict[tuple[int, int], np.ndarray] = {}
+    found = list[np.ndarray]()
+    for face in block.faces:
+        corners = block.vertices[list(face)]
+        normal = np.cross(corners - corners[0], np.roll(corners, -1, 0) - corners[0]).sum(0)
+        normal = normal / max(float(np.linalg.norm(normal)), 1e-300)
+        for a, b in zip(face, (*face[1:], face[0]), strict=True):
+            other = normal_of.pop((b, a), None)
+            if other is None:
+                normal_of[a, b] = normal
+            elif other @ normal < 1 - 1e-9:
+                found.append(block.vertices[b] - block.vertices[a])
+    return np.array(found).reshape(-1, 3)
+
+
+def _laid_down(block: Block) -> np.ndarray:
+    """float64[3, 3]: turns a block onto its largest face, the longest edge of that along x."""
     normals = list[np.ndarray]()
     for face in block.faces:
         corners = block.vertices[list(face)]

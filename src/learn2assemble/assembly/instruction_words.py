@@ -13,7 +13,7 @@ from learn2assemble.assembly.instructions import (
 )
 from learn2assemble.assembly.shapes import BlockShape
 
-HEAD = ("No.", "Shape", "x", "y", "z", "Turn")
+HEAD = ("Step", "Shape", "x", "y", "z", "Turn")
 """Of the table of what is placed, see :func:`placement_words`."""
 BILL_HEAD = (
     "Shape",
@@ -110,20 +110,19 @@ def name_words(id_: str, noun: str = "block") -> str:
 
 
 def _block_words(told: Instructions, placement: Placement) -> str:
-    """A block that stands, with the step of the instructions that placed it, e.g. ``block v3 of
+    """A block that stands, with the step that placed it, e.g. ``block v3 of
     step 5``; of one that stood from the start, its name."""
     name = name_words(told.assembly.blocks[placement.block].id)
     steps = [
-        group.number
-        for group in told.groups
-        for p in group.placements
+        p.number
+        for p in told.placements
         if p.block == placement.block and p.action == "place" and p.number < placement.number
     ]
     return f"{name} of step {steps[-1]}" if steps else name
 
 
 def done_words(told: Instructions, group: Group) -> str:
-    """What is done in a step of the instructions, in one sentence, e.g. ``Place block v3 and hold
+    """What is done on a card, in one sentence, e.g. ``Place block v3 and hold
     it; let go of block v2 of step 5.``
 
     Empty where blocks are placed and hands do nothing else, as tables tell that.
@@ -222,8 +221,9 @@ def facts(told: Instructions) -> tuple[str, ...]:
     placements = told.placements
     blocks = sum(not p.prop and p.action == "place" for p in placements)
     found = [
-        f"{count_words(blocks, 'block')} in {count_words(len(told.groups), 'step')} and "
-        f"{count_words(len({group.layer for group in told.groups}), 'layer')}",
+        f"{count_words(blocks, 'block')} in {count_words(len(placements), 'step')} and "
+        f"{count_words(len({group.layer for group in told.groups}), 'layer')}, told on "
+        f"{count_words(len(told.groups), 'card')}",
         f"{extent_words(told.extent)} mm when the last step is done",
     ]
     if told.joint:
@@ -244,6 +244,14 @@ def facts(told: Instructions) -> tuple[str, ...]:
     if left := len(told.assembly.not_built):
         found.append(f"not finished: {count_words(left, 'block')} of the design have no step")
     return tuple(found)
+
+
+def steps_words(group: Group) -> str:
+    """The steps that a card tells, e.g. ``Step 5`` or ``Steps 7 to 12``."""
+    first, last = group.steps
+    if first == last:
+        return f"Step {first}"
+    return f"Steps {first} {'and' if last == first + 1 else 'to'} {last}"
 
 
 def count_words(number: int, noun: str) -> str:

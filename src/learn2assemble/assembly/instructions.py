@@ -21,10 +21,10 @@ from learn2assemble.assembly.appearance import (
     sections,
 )
 from learn2assemble.assembly.blocks import Action, Assembly
-from learn2assemble.assembly.shapes import BlockShape, Shapes, Turn
+from learn2assemble.assembly.shapes import BlockShape, Named, Shapes, Turn
 
 MOST_TOGETHER = 6
-"""Blocks of one step of the instructions."""
+"""Blocks of one card."""
 _COVERED = 0.98
 """Share of a bed face that rests on what is below, where a block is carried straight down; the rest
 is open joints."""
@@ -63,9 +63,10 @@ class Placement:
 
 @dataclass(frozen=True)
 class Group:
-    """One step of the instructions."""
+    """What one card tells: a step of the assembly, or several that follow one another."""
 
     number: int
+    """Of the card, from 1."""
     placements: tuple[Placement, ...]
     layer: int
     """From 1."""
@@ -75,6 +76,11 @@ class Group:
     """Whether the layer begins with it."""
     held: frozenset[int] = frozenset()
     """Blocks that hands hold when it is done."""
+
+    @property
+    def steps(self) -> tuple[int, int]:
+        """The numbers of its first and its last step, from 1."""
+        return self.placements[0].number, self.placements[-1].number
 
     @property
     def main(self) -> Placement:
@@ -88,7 +94,7 @@ class Group:
 
     @property
     def wanted(self) -> list[tuple[BlockShape, int]]:
-        """Shapes and how many of each the step takes."""
+        """Shapes and how many of each the card takes."""
         count = Counter(id(p.shape) for p in self.placements if p.action == "place")
         shapes = {id(p.shape): p.shape for p in self.placements}
         return [(shapes[key], number) for key, number in count.items()]
@@ -124,7 +130,7 @@ class Instructions:
 
     @property
     def in_order(self) -> bool:
-        """Whether blocks of one step are placed in the order of their numbers, not in any."""
+        """Whether blocks of one card are placed in the order of their numbers, not in any."""
         return self.assembly.joint.law == "clutch"
 
     @property
@@ -157,24 +163,20 @@ class Instructions:
 
 
 def instructions(assembly: Assembly) -> Instructions:
-    """The instructions to build an assembly, step by step.
+    """The instructions to build an assembly, card by card; steps are those of the assembly.
 
-    Several blocks are one step where nothing is at stake: blocks of one layer that follow one
+    Several blocks are on one card where nothing is at stake: blocks of one layer that follow one
     another in the order of building, none of them a prop, each carried straight down to the ground,
-    so that whatever is placed first stands. Bricks that clutch are one step wherever they are in a
-    layer, as they are placed in the order that is proven. At most :data:`MOST_TOGETHER`. All others
-    are steps of their own, with what hands do before and after: a block that has just come is held,
-    others are let go; who holds another one does so for what comes next. Blocks without steps are
-    told one by one in the order they are given.
+    so that whatever is placed first stands. Bricks that clutch are on one card wherever they are
+    in a layer, as they are placed in the order that is proven. At most :data:`MOST_TOGETHER`. All
+    others have cards of their own, with what hands do before and after: a block that has just come
+    is held, others are let go; who holds another one does so for what comes next. Blocks without
+    steps are told one by one in the order they are given.
     """
     finished = np.concatenate([block.vertices for block in assembly.finished.blocks])
     origin, high = finished.min(0), finished.max(0)
     joint = joint_width(assembly)
-    shapes = Shapes(origin, joint)
-    left_out = set(assembly.not_built)
-    for block, (kind, colour) in zip(assembly.blocks, kinds_and_colours(assembly), strict=True):
-        if block.id not in left_out:
-            shapes.add(block, kind, colour)
+    shapes = shapes_of(assembly, origin, joint)
     steps: list[tuple[int, Action]] = [(assembly.index(s.block), s.action) for s in assembly.steps]
     steps = steps or [(k, "place") for k, b in enumerate(assembly.blocks) if not b.support]
     told = assembly.at_first if assembly.steps else [b.support for b in assembly.blocks]
@@ -190,6 +192,27 @@ def instructions(assembly: Assembly) -> Instructions:
     )
 
 
+def shapes_of(
+    assembly: Assembly,
+    origin: np.ndarray | None = None,
+    joint: float = 0.0,
+    coloured: bool = True,
+) -> Shapes:
+    """The shapes of all blocks, those that are not built after the others.
+
+    Args:
+        assembly: their letters are those of its instructions.
+        origin: O, float64[3] [m, world]; the world's where places are not asked for.
+        joint: width of vertical joints of a lattice [m].
+        coloured: whether blocks of two colours have two shapes, as on page and cards.
+    """
+    origin = np.zeros(3) if origin is None else origin
+    left_out = set(assembly.not_built)
+    pairs = zip(assembly.blocks, kinds_and_colours(assembly), strict=True)
+    named = [Named(block, kind, colour if coloured else "") for block, (kind, colour) in pairs]
+    return Shapes(origin, joint, sorted(named, key=lambda one: one.block.id in left_out))
+
+
 def _placement(
     assembly: Assembly, shapes: Shapes, index: int, number: int, action: Action
 ) -> Placement:
@@ -203,7 +226,7 @@ def _placement(
 
 
 def _groups(assembly: Assembly, placements: list[Placement], floor: float) -> list[Group]:
-    """Steps of the instructions; ``floor`` is the height of O [m, world]."""
+    """What every card tells; ``floor`` is the height of O [m, world]."""
     heights = np.array([block.vertices[:, 2].min() for block in assembly.blocks]) - floor
     layers: list[float] = []
     for height in np.sort(heights[[p.block for p in placements]]).tolist():
@@ -225,7 +248,7 @@ def _groups(assembly: Assembly, placements: list[Placement], floor: float) -> li
 def _together(
     assembly: Assembly, placements: list[Placement], heights: np.ndarray
 ) -> list[list[Placement]]:
-    """What is done in each step of the instructions, see :func:`instructions`."""
+    """What is told on each card, see :func:`instructions`."""
     upright, clutches = _carried_straight_down(assembly), assembly.joint.law == "clutch"
     # Where blocks of the structure go, what is below at last may not be there yet.
     goes = any(p.action == "remove" and not p.prop for p in placements)

@@ -6,14 +6,14 @@ belongs (:func:`corners_at`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.assembly.appearance import colour_words, is_square, laid_down, spread
+from learn2assemble.assembly.appearance import colour_words, drawn_as, is_square, spread
 from learn2assemble.assembly.blocks import Block
 from learn2assemble.assembly.cuts import POST, Cut, cut_of
 
@@ -103,102 +103,181 @@ class ToldPose(NamedTuple):
     turn: Turn
 
 
-class Shapes:
-    """The shapes of an assembly, and how each block is turned from its shape."""
+class Named(NamedTuple):
+    """A block and what it is called; blocks of one shape have one name and one colour."""
 
-    def __init__(self, origin: np.ndarray, joint: float) -> None:
+    block: Block
+    kind: str
+    colour: str
+
+
+class Shapes:
+    """The shapes of blocks, and how each block is turned from its shape.
+
+    A shape is drawn as :func:`~learn2assemble.assembly.appearance.drawn_as` says, so that a block
+    that just stands has no turn. Its corners are numbered from the lowest, of these from the front,
+    of these from the left.
+
+    Args:
+        origin: O, float64[3] [m, world].
+        joint: width of vertical joints of a lattice [m].
+        named: the blocks; shapes have letters in the order in which these come.
+    """
+
+    def __init__(self, origin: np.ndarray, joint: float, named: Sequence[Named]) -> None:
         self.origin = origin
         self.joint = joint
-        self.found: list[BlockShape] = []
-        self._like: dict[tuple[str, str, int], list[tuple[BlockShape, np.ndarray]]] = {}
-        self._of: dict[str, _Match] = {}
-        self._known: dict[tuple[str, str, tuple[tuple[int, ...], ...], bytes], _Match] = {}
+        told = dict[str, tuple[_Model, _Match]]()
+        for members in _may_be_alike(named):
+            self._tell(members, told)
+        # Letters follow the blocks, whichever of them a shape is drawn by.
+        letters = dict[int, BlockShape]()
+        for one in named:
+            model, _ = told[one.block.id]
+            if id(model) not in letters:
+                letters[id(model)] = replace(model.shape, letter=_letter(len(letters)))
+        self.found: list[BlockShape] = list(letters.values())
+        self._of: dict[str, tuple[BlockShape, _Match]] = {
+            block: (letters[id(model)], match) for block, (model, match) in told.items()
+        }
 
-    def add(self, block: Block, kind: str, colour: str) -> None:
-        """Find the shape and the turn of a block."""
-        points = block.vertices - block.vertices.min(0)
-        as_given = (kind, colour, block.faces, (points / _FINE).round().tobytes())
-        if as_given not in self._known:
-            self._known[as_given] = self._match(block, kind, colour)
-        self._of[block.id] = self._known[as_given]
+    def _tell(self, members: list[list[Named]], told: dict[str, tuple[_Model, _Match]]) -> None:
+        """Find the shapes of blocks that may be alike.
 
-    def _match(self, block: Block, kind: str, colour: str) -> _Match:
-        apart = spread(block.vertices)
-        like = self._like.setdefault((kind, colour, len(block.vertices)), [])
-        for shape, distances in like:
-            same = np.abs(distances - apart).max() <= _ALIKE
-            if same and abs(shape.volume - block.volume) <= 1e-3 * block.volume:
-                match = _turned(shape, block)
-                if match is not None:
-                    return match
-        corners = block.vertices @ laid_down(block).T
-        shape = self._new(block, corners - corners[0], kind, colour)
-        like.append((shape, apart))
-        match = _turned(shape, block)
-        assert match is not None
-        return match
+        Args:
+            members: blocks that differ in their place alone, in a list each.
+            told: of every block by its id, filled.
+        """
+        while members:
+            left = list[list[Named]]()
+            blocks = [one.block for same in members for one in same]
+            drawn, turning = drawn_as(blocks)
+            model = _model(members[0][0], blocks[drawn], turning, self.joint)
+            for same in members:
+                match = _turned(model, same[0].block)
+                if match is None:
+                    left.append(same)  # A mirror image, or another order of the same corners.
+                else:
+                    told.update((one.block.id, (model, match)) for one in same)
+            assert len(left) < len(members)
+            members = left
 
-    def _new(self, block: Block, corners: np.ndarray, kind: str, colour: str) -> BlockShape:
-        size = np.ptp(corners, axis=0)
-        is_box = abs(size.prod() - block.volume) <= 1e-6 * size.prod() and block.is_convex
-        joint = np.array([self.joint, self.joint, 0.0])
-        square = is_square(block) and block.kind != POST
-        x, y, z = (size + (joint if square else 0)).tolist()
-        letter, left = "", len(self.found)
-        while not letter or left >= 0:
-            letter, left = chr(65 + left % 26) + letter, left // 26 - 1
-        asked = colour == colour_words(block)
-        made = BlockShape(
-            letter,
-            kind,
-            colour,
-            asked,
-            corners,
-            block.faces,
-            bool(is_box),
-            (x, y, z),
-            block.volume,
-            block.mass,
-        )
-        self.found.append(made)
-        return made
+    def shape(self, block: Block) -> BlockShape:
+        """The shape of one of the blocks."""
+        return self._of[block.id][0]
 
     def pose(self, block: Block) -> ToldPose:
-        """How a block that was added is told."""
-        match = self._of[block.id]
-        at = block.vertices.min(0) if match.first is None else block.vertices[match.first]
+        """How one of the blocks is told."""
+        shape, (turn, first) = self._of[block.id]
+        at = block.vertices.min(0) if first is None else block.vertices[first]
         x, y, z = (at - self.origin).tolist()
-        return ToldPose(match.shape, (x, y, z), match.turn)
+        return ToldPose(shape, (x, y, z), turn)
+
+
+def _may_be_alike(named: Sequence[Named]) -> list[list[list[Named]]]:
+    """Blocks of one name and colour, one volume and the same distances of corners: mirror images
+    may be among them. Blocks that differ in their place alone are in a list of their own."""
+    placed: dict[object, list[Named]] = {}
+    for one in named:
+        points = one.block.vertices - one.block.vertices.min(0)
+        key = one.kind, one.colour, one.block.faces, (points / _FINE).round().tobytes()
+        placed.setdefault(key, []).append(one)
+    like: dict[object, list[tuple[np.ndarray, float, list[list[Named]]]]] = {}
+    for same in placed.values():
+        block = same[0].block
+        apart, volume = spread(block.vertices), block.volume
+        known = like.setdefault((same[0].kind, same[0].colour, len(block.vertices)), [])
+        for distances, size, members in known:
+            near = np.abs(distances - apart).max() <= _ALIKE
+            if near and abs(size - volume) <= 1e-3 * volume:
+                members.append(same)
+                break
+        else:
+            known.append((apart, volume, [same]))
+    return [members for known in like.values() for *_, members in known]
+
+
+def _letter(number: int) -> str:
+    """A to Z, then AA to AZ and so on."""
+    letter, left = "", number
+    while not letter or left >= 0:
+        letter, left = chr(65 + left % 26) + letter, left // 26 - 1
+    return letter
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """A shape with its corners in the order of the block by which it is drawn."""
+
+    shape: BlockShape
+    corners: np.ndarray
+    """float64[V, 3]: unturned, from the corner that is the first of the shape [m]."""
+    faces: tuple[tuple[int, ...], ...]
+    first: int
+    """Which corner is the first of the shape."""
+
+
+def _model(named: Named, block: Block, turning: np.ndarray, joint_width: float) -> _Model:
+    """A shape without a letter.
+
+    Args:
+        named: what it is called.
+        block: by which it is drawn.
+        turning: of that block.
+        joint_width: of vertical joints of a lattice [m].
+    """
+    corners = block.vertices @ turning.T
+    rows = ((corners - corners.min(0)) / _GRAIN).round()
+    order = np.lexsort((rows[:, 0], rows[:, 1], rows[:, 2]))
+    first, place = int(order[0]), np.argsort(order).tolist()
+    corners = corners - corners[first]
+    size = np.ptp(corners, axis=0)
+    is_box = abs(size.prod() - block.volume) <= 1e-6 * size.prod() and block.is_convex
+    joint = np.array([joint_width, joint_width, 0.0])
+    square = is_square(block) and block.kind != POST
+    x, y, z = (size + (joint if square else 0)).tolist()
+    shape = BlockShape(
+        "",
+        named.kind,
+        named.colour,
+        named.colour == colour_words(block),
+        corners[order],
+        tuple(tuple(place[k] for k in face) for face in block.faces),
+        bool(is_box),
+        (x, y, z),
+        block.volume,
+        block.mass,
+    )
+    return _Model(shape, corners, block.faces, first)
 
 
 class _Match(NamedTuple):
     """How a block is turned from its shape."""
 
-    shape: BlockShape
     turn: Turn
     first: int | None
     """Of a block that leans: its vertex at which the first corner of the shape lies."""
 
 
-def _turned(shape: BlockShape, block: Block) -> _Match | None:
+def _turned(model: _Model, block: Block) -> _Match | None:
     """How a block is turned from a shape; None where it is another shape, such as its mirror image.
 
     Quarters come before other turns, and small turns before large ones.
     """
     points = block.vertices - block.vertices.min(0)
     for turn in _QUARTERS:
-        turned = shape.corners @ rotation(turn).T
+        turned = model.corners @ rotation(turn).T
         if _apart(turned - turned.min(0), points) <= _GRAIN:
-            return _Match(shape, turn, None)
+            return _Match(turn, None)
     found = list[tuple[float, Turn, int | None]]()
-    for first, turning in _alignments(shape, block):
+    for first, turning in _alignments(model, block):
         turn = _angles(turning)
         leans = any(angle % 90 for angle in turn)
         found.append((sum(map(abs, turn)), turn, first if leans else None))
     if not found:
         return None
     _, turn, first = min(found, key=lambda one: one[:2])
-    return _Match(shape, turn, first)
+    return _Match(turn, first)
 
 
 def _apart(some: np.ndarray, others: np.ndarray) -> float:
@@ -211,13 +290,13 @@ def _apart(some: np.ndarray, others: np.ndarray) -> float:
     return float(max(there.max(), back.max()))
 
 
-def _alignments(shape: BlockShape, block: Block) -> Iterator[tuple[int, np.ndarray]]:
+def _alignments(model: _Model, block: Block) -> Iterator[tuple[int, np.ndarray]]:
     """The ways to lay a shape on a block: where its first corner comes to lie, and the rotation."""
-    corners, vertices = shape.corners, block.vertices
-    if shape.faces == block.faces:
-        turning = _rotation_between(corners - corners[0], vertices - vertices[0])
-        if np.abs(corners @ turning.T - (vertices - vertices[0])).max() <= _ALIKE:
-            yield 0, turning
+    corners, vertices, a = model.corners, block.vertices, model.first
+    if model.faces == block.faces:
+        turning = _rotation_between(corners, vertices - vertices[a])
+        if np.abs(corners @ turning.T - (vertices - vertices[a])).max() <= _ALIKE:
+            yield a, turning
     if not block.is_convex or len(corners) > _MOST_TRIED:
         return  # The corners alone do not say what it is, or there are too many to try.
     # Three corners of the shape, and all corners of the block as far from one another.
@@ -230,7 +309,7 @@ def _alignments(shape: BlockShape, block: Block) -> Iterator[tuple[int, np.ndarr
         third = np.abs(apart[i] - away[c]) <= near
         third &= np.abs(apart[j] - np.linalg.norm(corners[b] - corners[c])) <= near
         for k in np.flatnonzero(third).tolist():
-            turning = _frame(*vertices[[i, j, k]]) @ _frame(*corners[[0, b, c]]).T
+            turning = _frame(*vertices[[i, j, k]]) @ _frame(*corners[[a, b, c]]).T
             turned = corners @ turning.T + vertices[i]
             if _apart(turned, vertices) > 3 * _ALIKE:
                 continue

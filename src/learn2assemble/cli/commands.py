@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from learn2assemble.planning.reports import ArmReport
 
 _COMMANDS: dict[str, Command] = {}
+_MOST_SHAPES = 12
+"""Shapes of blocks without a kind that have a line each on the terminal."""
 
 
 def register_command(commands: Registry[Command]) -> None:
@@ -323,13 +325,30 @@ def _hands_of(plan: Plan) -> list[str]:
     return [f"{words} {count}x" for words, count in counts.items() if count]
 
 
+def _counted(plan: Plan) -> list[tuple[str, str, int]]:
+    """How many blocks of every kind are placed, props apart; what has no kind is listed by its
+    shape, as in the bill."""
+    from learn2assemble.assembly.instructions import shapes_of
+
+    placed = [step for step in plan.steps if step.action == "place"]
+    kinds = [(step.kind or "block", 0) for step in placed]
+    if plan.assembly is not None and not all(step.kind for step in placed):
+        shapes, blocks = shapes_of(plan.assembly, coloured=False), plan.assembly.blocks
+        number = {shape.letter: k for k, shape in enumerate(shapes.found, 1)}
+        for k, step in enumerate(placed):
+            if not step.kind:
+                shape = shapes.shape(blocks[step.block])
+                kinds[k] = shape.kind, number[shape.letter]
+        several = len({kind for kind in kinds if kind[1]})
+        if several > _MOST_SHAPES:
+            kinds = [(f"block ({several} shapes)", 0) if k else (name, 0) for name, k in kinds]
+    counts = Counter((k, name, step.prop) for (name, k), step in zip(kinds, placed, strict=True))
+    return [(name, "prop" if prop else "", n) for (_, name, prop), n in sorted(counts.items())]
+
+
 def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
     """Blocks by kind, then what was filled and what is proven."""
-    counts = Counter(
-        (step.kind or "block", step.prop) for step in plan.steps if step.action == "place"
-    )
-    rows = [(kind, "prop" if prop else "", n) for (kind, prop), n in sorted(counts.items())]
-    output.table(plan.design.name, ("block", "", "number"), rows)
+    output.table(plan.design.name, ("block", "", "number"), _counted(plan))
     number = f"{plan.blocks.used} blocks, {len(plan.steps)} steps"
     output.say(f"{plan.status}: {number}, {plan.planner} planner, {plan.seconds:.1f} s")
     if helped := _hands_of(plan):

@@ -18,18 +18,23 @@ from learn2assemble.export.pictures import (
     Grid,
     Picture,
     booklet,
+    shape_words,
 )
 
 _DONE = {"remove": "take a block away", "hold": "hold a block", "release": "let go of a block"}
 """What is done in steps that take no block from the heap."""
 _LINES = {"new": "n", "gone": "x", "held": "h"}
 """Classes of outlines."""
+_SHAPE = (14.0, 9.0)
+"""Room for the picture of the largest shape, width and height [rem]."""
+_SHAPE_FONT = 0.62
+"""Size of the numbers of corners [rem]."""
 _UNITS = 40
 """Of the drawing, to a usual block."""
 
 
 def step_cards(assembly: Assembly) -> str:
-    """A stand-alone HTML document: a cover with the bill of blocks, and a card for every step.
+    """A stand-alone HTML document: a cover with the bill of blocks, and cards that tell the steps.
 
     What the cards say is :func:`learn2assemble.assembly.instructions.instructions`; equal figures
     are stored once.
@@ -37,7 +42,8 @@ def step_cards(assembly: Assembly) -> str:
     book = booklet(assembly)
     pen = _CardPen(book)
     shapes = "".join(
-        f"<figure>{pen.draw(picture)}<figcaption>{shape.letter}</figcaption></figure>"
+        f"<figure>{pen.shape(picture)}"
+        f"<figcaption>{shape_words(shape, picture)}</figcaption></figure>"
         for shape, picture in book.shapes
     )
     cards = "".join(_card(pen, card) for card in book.cards)
@@ -71,10 +77,11 @@ def _card(pen: _CardPen, card: Card) -> str:
     )
     part = f"<ul>{wanted}</ul>" if wanted else ""
     label = f"{card.heading}: {', '.join(card.wanted) or _DONE[card.group.main.action]}"
-    return (
-        f"<article><h3>{card.heading}</h3>{part}{words}{pen.draw(card.picture, label)}"
-        f"{_table(HEAD, card.rows)}</article>"
-    )
+    head = f"<h3>{card.heading} <small>{card.number}</small></h3>"
+    _, tallest = card.picture.within or card.picture.size.tolist()
+    share = float(card.picture.size[1]) / tallest
+    picture = pen.draw(card.picture, label, f"--h:{share:.3f}" if share < 0.999 else "")
+    return f"<article>{head}{part}{words}{picture}{_table(HEAD, card.rows)}</article>"
 
 
 def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]], name: str = "") -> str:
@@ -107,10 +114,25 @@ class _CardPen:
         text += " ".join(f"{_short(x)} {_short(y)}" for x, y in steps)
         return text.replace(" -", "-") + "z" * close
 
-    def draw(self, picture: Picture, label: str = "") -> str:
+    def shape(self, picture: Picture) -> str:
+        """The picture of a shape, as large as its scale asks for."""
+        wide, tall = picture.within or picture.size.tolist()
+        scale = self.book.shape_room * min(_SHAPE[0] / wide, _SHAPE[1] / tall)
+        font = _SHAPE_FONT / scale * self.unit
+        return self.draw(picture, "", f"width:{scale * picture.size[0]:.2f}rem", font)
+
+    def draw(self, picture: Picture, label: str = "", style: str = "", font: float = 0.0) -> str:
+        """A picture.
+
+        Args:
+            picture: what is drawn.
+            label: what it is, for those who do not see it.
+            style: CSS of its own.
+            font: size of letters in units of the drawing; what suits its size where it is 0.
+        """
         x0, y0 = picture.low[0] * self.unit, -picture.high[1] * self.unit
-        width, height = (picture.high - picture.low) * self.unit
-        font = max(width, height) * 0.034
+        width, height = picture.size * self.unit
+        font = font or max(picture.within or picture.size) * self.unit * 0.034
         parts = [self._grid(picture.grid, font)]
         for use in picture.uses:
             self.figures.add(use.name)
@@ -134,6 +156,7 @@ class _CardPen:
         if picture.place is not None:
             parts.append(self._map(picture.place, x0, y0, 0.16 * float(width)))
         words = f' role="img" aria-label="{escape(label)}"' if label else ""
+        words += f' style="{style}"' if style else ""
         return (
             f'<svg viewBox="{x0:.0f} {y0:.0f} {width:.0f} {height:.0f}" font-size="{font:.0f}"'
             f"{words}>{''.join(parts)}</svg>"

@@ -21,7 +21,9 @@ from learn2assemble.assembly.bricks.ldraw import to_ldraw
 from learn2assemble.assembly.compas import write_compas
 from learn2assemble.assembly.cuts import POST, Cut, cut_of
 from learn2assemble.assembly.files import read_assembly, write_assembly
+from learn2assemble.assembly.instructions import shapes_of
 from learn2assemble.assembly.parts import convex_parts
+from learn2assemble.assembly.shapes import Shapes
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
 from learn2assemble.export.cards import step_cards
@@ -34,13 +36,17 @@ def bill_of_blocks(assembly: Assembly) -> str:
     """The kinds an assembly needs, in every colour, as CSV: how many are built in, how many serve
     as props only.
 
-    A prop that is removed again may be used again, so ``props`` is the largest number of a kind
-    that stands at one time. ``placed`` and ``not_placed`` are how many of ``built_in`` the steps
-    place and leave over, as those of an incomplete plan do; without steps, all are placed. Posts
-    have a line for every cut: the section of the bar (``length_m``, ``width_m``), its longest
-    (``height_m``) and shortest upright edge, and the angles of the faces of its top from level.
+    Kinds are the shapes of page and cards, and called as there; ``shape`` is their letters, several
+    where blocks of one line have other colours there, as props have. Sizes are those of the shape
+    as it is drawn. A prop that is removed again may be used again, so ``props`` is the largest
+    number of a kind that stands at one time. ``placed`` and ``not_placed`` are how many of
+    ``built_in`` the steps place and leave over, as those of an incomplete plan do; without steps,
+    all are placed. Posts have a line for every cut: the section of the bar (``length_m``,
+    ``width_m``), its longest (``height_m``) and shortest upright edge, and the angles of the faces
+    of its top from level.
     """
-    entry = _entries(assembly)
+    shapes = shapes_of(assembly, coloured=False)
+    entry = _entries(assembly, shapes)
     built = Counter(entry[b.id] for b in assembly.blocks if not b.prop and not b.support)
     peak: Counter[_Entry] = Counter()
     standing: Counter[_Entry] = Counter()
@@ -57,6 +63,9 @@ def bill_of_blocks(assembly: Assembly) -> str:
         if not b.prop and not b.support and (b.id in ordered or not assembly.steps)
     )
     first = {entry[b.id]: b for b in reversed(assembly.blocks)}
+    lettered, letters = shapes_of(assembly), dict[_Entry, dict[str, None]]()
+    for block in assembly.blocks:
+        letters.setdefault(entry[block.id], {})[lettered.shape(block).letter] = None
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     head = (
@@ -73,16 +82,18 @@ def bill_of_blocks(assembly: Assembly) -> str:
         "not_placed",
         "shortest_edge_m",
         "cut_deg",
+        "shape",
     )
     writer.writerow(head)
     for key in sorted(built | peak):
-        block, cut = first[key], _cut(first[key])
-        size = sorted(np.ptp(block.vertices, axis=0)[:2], reverse=True)
-        sizes = (*size, float(np.ptp(block.vertices[:, 2]))) if cut is None else cut[:3]
-        row = [*key[:2], built[key], peak[key], built[key] + peak[key]]
-        row += [f"{number:.6g}" for number in (*sizes, block.mass)]
+        shape, cut = shapes.shape(first[key]), _cut(first[key])
+        size = sorted(shape.size[:2], reverse=True)
+        sizes = (*size, float(shape.size[2])) if cut is None else cut[:3]
+        row = [shape.kind, key[1], built[key], peak[key], built[key] + peak[key]]
+        row += [f"{number:.6g}" for number in (*sizes, first[key].mass)]
         row += [placed[key], built[key] - placed[key]]
         row += ["", ""] if cut is None else [f"{cut.shortest:.6g}", _angles(cut)]
+        row += [" ".join(sorted(letters[key], key=lambda word: (len(word), word)))]
         writer.writerow(row)
     return out.getvalue()
 
@@ -241,15 +252,20 @@ def file_at(path: str | Path, name: str) -> Path:
 
 
 _Entry = tuple[str, str, int]
-"""What a block is in the bill: kind, colour, and the number of the cut of a post."""
+"""What a block is in the bill: kind, colour, and the number of its shape, of a post of its cut."""
 
 
-def _entries(assembly: Assembly) -> dict[str, _Entry]:
-    """The line of the bill of every block; posts of one cut have one."""
+def _entries(assembly: Assembly, shapes: Shapes) -> dict[str, _Entry]:
+    """The line of the bill of every block; posts of one cut have one.
+
+    Args:
+        shapes: of all blocks, colours apart.
+    """
+    number_of = {shape.letter: number for number, shape in enumerate(shapes.found)}
     cuts: list[Cut] = []
     found = dict[str, _Entry]()
     for block in assembly.blocks:
-        cut, number = _cut(block), 0
+        cut, number = _cut(block), number_of[shapes.shape(block).letter]
         if cut is not None:
             number = next((k for k, other in enumerate(cuts) if cut.like(other)), len(cuts))
             cuts += [cut] if number == len(cuts) else []

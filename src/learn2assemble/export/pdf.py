@@ -16,6 +16,7 @@ from learn2assemble.export.pictures import (
     Picture,
     Use,
     booklet,
+    shape_words,
 )
 
 _WIDTH, _HEIGHT = 595.28, 841.89
@@ -24,6 +25,8 @@ _EDGE, _GAP = 36.0, 14.0
 _COLUMN = (_WIDTH - 2 * _EDGE - _GAP) / 2
 _PICTURE = 150.0
 """Largest height of the picture of a card, so that three cards fit below one another [pt]."""
+_SHAPE = (140.0, 86.0)
+"""Room for the picture of the largest shape, width and height [pt]."""
 _TOTAL = "number-of-pages"
 _LINE = 11.0
 _FORM = 1000.0
@@ -56,10 +59,15 @@ def _plain(text: str) -> str:
     return text.encode("cp1252", "replace").decode("cp1252")
 
 
+def _scale(picture: Picture, width: float, height: float) -> float:
+    """The scale at which a picture and all others of its scale fit into a box [pt/m]."""
+    across, up = picture.within or picture.size.tolist()
+    return min(width / across, height / up)
+
+
 def _picture_height(picture: Picture) -> float:
-    """What a picture takes on a card [pt]: no more than it needs where as wide as a column."""
-    width, height = (picture.high - picture.low).tolist()
-    return min(_PICTURE, _COLUMN * height / width)
+    """What a picture takes on a card [pt]: no more than it needs at the scale of all cards."""
+    return float(picture.size[1]) * _scale(picture, _COLUMN, _PICTURE)
 
 
 class _Pages:
@@ -174,18 +182,14 @@ class _Pages:
         for fact in self.book.facts:
             self._paragraph(fact, 10)
         self.y -= 6
-        self._picture(self.book.cover, _EDGE, self.y - 270, _WIDTH - 2 * _EDGE, 270)
-        self.y -= 270
+        width, height = _WIDTH - 2 * _EDGE, 270.0
+        scale = _scale(self.book.cover, width, height)
+        self._picture(self.book.cover, _EDGE, self.y - height, width, height, scale)
+        self.y -= height
         self._heading("Bill of blocks")
         self._table(BILL_HEAD, self.book.bill, _BILL_TABS)
         self.y -= 6
-        for first in range(0, len(self.book.shapes), 6):
-            self._room(86)
-            for k, (shape, picture) in enumerate(self.book.shapes[first : first + 6]):
-                x = _EDGE + 87 * k
-                self._picture(picture, x, self.y - 70, 80, 68)
-                self._write(x + 40, self.y - 80, f"{shape.letter}", 9, side="middle", bold=True)
-            self.y -= 86
+        self._shapes()
         for letter, words in self.book.corners:
             self._paragraph(f"Shape {letter}, corners: {words}", 7.5)
         if self.book.cuts:
@@ -196,6 +200,33 @@ class _Pages:
         if self.book.start:
             self._heading("Stands from the start")
             self._table(HEAD, self.book.start, _TABS)
+
+    def _shapes(self) -> None:
+        """Pictures of the shapes side by side, standing on one line."""
+        line: list[tuple[Picture, str, float, float, float]] = []
+        room = _WIDTH - 2 * _EDGE
+
+        def draw() -> None:
+            tall = max((size for *_, size in line), default=0.0)
+            self._room(tall + 18)
+            x = _EDGE
+            for picture, words, scale, width, height in line:
+                self._picture(picture, x, self.y - tall - 2, width, height, scale)
+                middle = x + width / 2
+                self._write(middle, self.y - tall - 12, words, 9, side="middle", bold=True)
+                x += width + 8
+            self.y -= tall + 18 if line else 0
+            line.clear()
+
+        for shape, picture in self.book.shapes:
+            scale, words = _scale(picture, *_SHAPE), shape_words(shape, picture)
+            scale *= self.book.shape_room
+            across, up = (scale * picture.size).tolist()
+            width = max(across, 5.0 * len(words))
+            if sum(other[3] + 8 for other in line) + width > room:
+                draw()
+            line.append((picture, words, scale, width, up))
+        draw()
 
     # ------------------------------------------------------------ cards
 
@@ -211,6 +242,7 @@ class _Pages:
         self.canvas.line(x, y, x + _COLUMN, y)
         y -= 15
         self._write(x, y, card.heading, 12, bold=True)
+        self._write(x + _COLUMN, y, card.number, 8, _SOFT, "right")
         y -= 3
         for (shape, _), text in zip(card.group.wanted, card.wanted, strict=True):
             y -= _LINE
@@ -222,8 +254,8 @@ class _Pages:
             for line in self._wrapped(text, _COLUMN, 8.5):
                 y -= _LINE
                 self._write(x, y, line)
-        height = _picture_height(card.picture)
-        self._picture(card.picture, x, y - height - 2, _COLUMN, height)
+        height, scale = _picture_height(card.picture), _scale(card.picture, _COLUMN, _PICTURE)
+        self._picture(card.picture, x, y - height - 2, _COLUMN, height, scale)
         y -= height + 2
         for k, row in enumerate([HEAD, *card.rows]):
             y -= _LINE
@@ -232,10 +264,11 @@ class _Pages:
 
     # ------------------------------------------------------------ pictures
 
-    def _picture(self, picture: Picture, x: float, y: float, width: float, height: float) -> None:
-        """Draw a picture as large as fits between these corners [pt]."""
-        size = picture.high - picture.low
-        scale = float(min(width / size[0], height / size[1]))
+    def _picture(
+        self, picture: Picture, x: float, y: float, width: float, height: float, scale: float
+    ) -> None:
+        """Draw a picture in the middle of a box [pt], at a scale [pt/m]."""
+        size = picture.size
         shift = np.array([x + (width - scale * size[0]) / 2, y + (height - scale * size[1]) / 2])
         shift = shift - scale * picture.low
         canvas = self.canvas

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ from learn2assemble.assembly.instruction_words import (
     name_words,
     place_words,
     placement_words,
+    steps_words,
     way_words,
 )
 from learn2assemble.assembly.instructions import (
@@ -33,6 +34,8 @@ from learn2assemble.export.projection import DrawnScene, Figure, project
 
 _WAYS = np.array([(0, 0, 1), (0, -1, 0), (-1, 0, 0), (1, 0, 0), (0, 1, 0)], float)
 """Directions in which a prop comes and is taken away, those seen best first."""
+_MOST_LARGER = 8.0
+"""Shapes that are so many times as large as the smallest have a scale of their own."""
 _UP = np.array([0.0, 1.0])
 """In the drawing."""
 
@@ -83,18 +86,34 @@ class Picture:
     place: tuple[float, float, float, float] | None = None
     """Where the step is in the whole seen from above, x, y, width and depth as shares; None where
     all is shown."""
+    within: tuple[float, float] | None = None
+    """Width and height of what holds any picture of the same scale [m]; None where a picture has a
+    scale of its own."""
+
+    @property
+    def size(self) -> np.ndarray:
+        """float64[2]: width and height [m]."""
+        return self.high - self.low
 
 
 @dataclass(frozen=True, eq=False)
 class Card:
-    """One step of the instructions, ready to be drawn."""
+    """What one card tells, ready to be drawn."""
 
     heading: str
+    """Its steps."""
+    number: str
+    """Which card of how many it is."""
     words: tuple[str, ...]
     wanted: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     picture: Picture
     group: Group
+
+
+def shape_words(shape: BlockShape, picture: Picture) -> str:
+    """What stands below the picture of a shape: its letter, and where its scale is another one."""
+    return shape.letter if picture.within else f"{shape.letter} (smaller scale)"
 
 
 @dataclass(eq=False)
@@ -116,6 +135,11 @@ class Booklet:
     corners: list[tuple[str, str]] = field(default_factory=list[tuple[str, str]])
     """Of every shape that is no box: its letter, and its corners."""
 
+    @property
+    def shape_room(self) -> float:
+        """Share of the usual room that the picture of a shape has: less where there are many."""
+        return 1.0 if len(self.shapes) <= 5 else 0.65
+
 
 def booklet(assembly: Assembly) -> Booklet:
     """Cover and cards of an assembly."""
@@ -123,18 +147,22 @@ def booklet(assembly: Assembly) -> Booklet:
     scene = DrawnScene(told)
     spacing = _spacing(told, scene.usual)
     layers = len({group.layer for group in told.groups})
-    until = {p.block: g.number for g in told.groups for p in g.placements if p.action == "remove"}
+    until = {p.block: p.number for p in told.placements if p.action == "remove"}
     whole = _grid((0, 0), tuple(told.extent[:2]), 0.0, spacing, float(told.extent[2]))
     common = _Common(told, scene, spacing, whole, layers, until, {})
     cards = list[Card]()
     for group, standing in zip(told.groups, scene.standing(), strict=True):
         cards.append(_card(common, group, standing))
+    # Cards that show all are drawn at one scale, no higher than what they show.
+    large = [k for k, card in enumerate(cards) if card.picture.place is None]
+    for k, picture in zip(large, _framed([cards[k].picture for k in large]), strict=True):
+        cards[k] = replace(cards[k], picture=picture)
     finished = {assembly.index(b.id) for b in assembly.finished.blocks}
     colours = {p.block: p.shape.colour for p in (*told.start, *told.placements)}
     uses = tuple(
         Use(d.name, d.at, colours.get(d.block)) for d in scene.drawn if d.block in finished
     )
-    cover = _framed(scene, uses, whole, told.extent)
+    [cover] = _framed([_picture(scene, uses, whole)])
     book = Booklet(
         told,
         scene,
@@ -171,7 +199,7 @@ class _Common(NamedTuple):
 
 
 def _card(common: _Common, group: Group, standing: set[int]) -> Card:
-    """The card of a step.
+    """A card.
 
     Args:
         standing: blocks that stand before it.
@@ -247,19 +275,13 @@ def _card(common: _Common, group: Group, standing: set[int]) -> Card:
                 labels.append((top + 0.1 * length * _UP, str(p.number)))
         told_of.add(p.block)
     wanted = tuple(f"{count} × {shape.letter} ({shape.kind})" for shape, count in group.wanted)
-    picture = _framed(
-        scene,
-        uses,
-        grid,
-        told.extent if all_ else None,
-        outlines,
-        tuple(arrows),
-        tuple(labels),
-        place,
-    )
+    picture = _picture(scene, uses, grid, outlines, tuple(arrows), tuple(labels), place)
+    if not all_:
+        [picture] = _framed([picture])
     words = _words(told, group, layers, until)
     rows = tuple(_rows(group))
-    return Card(f"Step {group.number}", words, wanted, rows, picture, group)
+    number = f"card {group.number} of {len(told.groups)}"
+    return Card(steps_words(group), number, words, wanted, rows, picture, group)
 
 
 def _words(told: Instructions, group: Group, layers: int, until: dict[int, int]) -> tuple[str, ...]:
@@ -267,8 +289,8 @@ def _words(told: Instructions, group: Group, layers: int, until: dict[int, int])
     words = list[str]()
     if group.first:
         words.append(
-            f"Layer {group.layer} of {layers}, from {length_words(group.level)} mm up. Block "
-            f"{main.number}: {place_words(main)}."
+            f"Layer {group.layer} of {layers}, from {length_words(group.level)} mm up. Its "
+            f"first block, of step {main.number}: {place_words(main)}."
         )
     done = done_words(told, group)
     words += [*map(before_words, group.placements), done]
@@ -291,7 +313,7 @@ def _words(told: Instructions, group: Group, layers: int, until: dict[int, int])
 
 
 def _rows(group: Group) -> list[tuple[str, ...]]:
-    """A line for every block of a step, with the numbers of all that is done with it."""
+    """A line for every block of a card, with the numbers of all that is done with it."""
     numbers: dict[int, list[str]] = {}
     for p in group.placements:
         numbers.setdefault(p.block, []).append(str(p.number))
@@ -323,33 +345,45 @@ def _way_out(scene: DrawnScene, block: int, standing: set[int]) -> np.ndarray:
     return _WAYS[0]
 
 
-def _framed(
+def _picture(
     scene: DrawnScene,
     uses: tuple[Use, ...],
     grid: Grid,
-    extent: np.ndarray | None,
     outlines: tuple[Use, ...] = (),
     arrows: tuple[_Arrow, ...] = (),
     labels: tuple[tuple[np.ndarray, str], ...] = (),
     place: tuple[float, float, float, float] | None = None,
 ) -> Picture:
-    """A picture with its frame; of a whole structure the same on every card."""
+    """A picture that ends where what is drawn ends, without a margin."""
     points = [*grid.lines, *(np.array(arrow) for arrow in arrows)]
     points += [scene.figures[use.name].frame + use.at for use in uses]
-    if extent is not None:
-        ends = np.stack(np.meshgrid(*[(0, v) for v in extent], indexing="ij"), -1).reshape(-1, 3)
-        points.append(project(ends) + 1.3 * scene.usual * _UP)
     found = np.concatenate(points)
     low, high = found.min(0), found.max(0)
+    return Picture(low, high, grid, uses, outlines, arrows, labels, place)
+
+
+def _framed(pictures: list[Picture]) -> list[Picture]:
+    """Pictures of one scale with their margins: they begin at one place and are of one width, and
+    each is as high as what it shows."""
+    if not pictures:
+        return []
+    low = np.min([picture.low for picture in pictures], axis=0)
+    high = np.max([picture.high for picture in pictures], axis=0)
     size = float((high - low).max())
     margin = 0.09 * size
     # At the left the distances are written outside of the grid.
-    left = np.array([0.07 * size if grid.lines else 0.0, 0.0])
-    return Picture(low - margin - left, high + margin, grid, uses, outlines, arrows, labels, place)
+    left = np.array([0.07 * size if any(p.grid.lines for p in pictures) else 0.0, 0.0])
+    low, high = low - margin - left, high + margin
+    width, height = (high - low).tolist()
+    return [
+        replace(p, low=low, high=np.array([high[0], p.high[1] + margin]), within=(width, height))
+        for p in pictures
+    ]
 
 
 def _shape_pictures(told: Instructions, scene: DrawnScene) -> list[tuple[BlockShape, Picture]]:
-    """Every shape as it is when it is not turned, with the numbers of corners where it leans."""
+    """Every shape as it is when it is not turned, with the numbers of its corners where it is no
+    box; all at one scale, but for those that are far larger than the smallest."""
     found = list[tuple[BlockShape, Picture]]()
     for shape in (line.shape for line in told.bill):
         block = Block(shape.letter, shape.corners, shape.faces)
@@ -359,8 +393,17 @@ def _shape_pictures(told: Instructions, scene: DrawnScene) -> list[tuple[BlockSh
         if not shape.is_box and len(shape.corners) <= 12:
             corners = shape.corners - shape.corners.min(0)
             labels = tuple((project(c), str(k)) for k, c in enumerate(corners, 1))
-        found.append((shape, _framed(scene, uses, Grid((), ()), None, labels=labels)))
-    return found
+        [picture] = _framed([_picture(scene, uses, Grid((), ()), labels=labels)])
+        found.append((shape, replace(picture, within=None)))
+    sizes = np.array([picture.size for _, picture in found])
+    near = sizes.max(1, initial=0.0) <= _MOST_LARGER * sizes.max(1, initial=0.0).min(initial=np.inf)
+    if not near.any():
+        return found
+    width, height = sizes[near].max(0).tolist()
+    return [
+        (shape, replace(picture, within=(width, height)) if k else picture)
+        for (shape, picture), k in zip(found, near.tolist(), strict=True)
+    ]
 
 
 def _adopt(scene: DrawnScene, figure: Figure) -> int:
