@@ -8,6 +8,8 @@ them in the simulation: nothing lies at its pose otherwise, and ways of the arm 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import groupby, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -60,6 +62,19 @@ class Place(NamedTuple):
         """What lies there, in words."""
         return self.kind or "block"
 
+    @property
+    def step_words(self) -> str:
+        """Its steps, e.g. ``1 to 8, 10``."""
+        return ranges(self.steps)
+
+    @property
+    def refill_words(self) -> str:
+        """How often it is refilled, in a word or two."""
+        if not self.refills:
+            return "its own place"
+        times = "once" if self.refills == 1 else f"{self.refills} times"
+        return times + ", first empty" * (not self.at_start)
+
 
 class Supplied(NamedTuple):
     """What a build needs besides its arm."""
@@ -69,12 +84,21 @@ class Supplied(NamedTuple):
     """One for each step of the record; None: the step takes nothing from a place."""
 
 
+def ranges(numbers: Sequence[int]) -> str:
+    """Numbers that rise, more than two that follow each other as one, e.g. ``1 to 8, 10``."""
+    found = list[str]()
+    for _, group in groupby(enumerate(numbers), lambda one: one[1] - one[0]):
+        run = [number for _, number in group]
+        found += map(str, run) if len(run) < 3 else [f"{run[0]} to {run[-1]}"]
+    return ", ".join(found)
+
+
 def step_numbers(record: BuildRecord) -> list[int]:
     """What the steps of a record are called: as the plan does, where each has a step of its own
     there and these come in order; else by the numbers of the attempts."""
     told = [step.plan_step for step in record.steps]
     found = [number for number in told if number is not None]
-    whole = len(found) == len(told) and all(a < b for a, b in zip(found, found[1:], strict=False))
+    whole = len(found) == len(told) and all(a < b for a, b in pairwise(found))
     return found if whole else [step.number for step in record.steps]
 
 
