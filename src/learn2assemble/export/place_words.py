@@ -14,7 +14,7 @@ import numpy as np
 
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
 from learn2assemble.motion.driver import driver_of
-from learn2assemble.motion.places import Place, ranges
+from learn2assemble.motion.places import Place, half_turn, ranges
 from learn2assemble.motion.program import Program
 from learn2assemble.motion.settings import ProgramSettings
 from learn2assemble.robot.arm import Arm, get_arm
@@ -51,7 +51,7 @@ def in_base(program: Program, arm: Arm) -> list[InBase]:
                 (point,), (way,) = forward_many(get_chain(arm), q)
                 tool = np.array([*(turn @ (point - base[:3])), *matrix_quaternion(turn @ way)])
                 break
-        angle = math.pi / 2 - (math.pi / 2 - (place.turn + yaw)) % math.pi
+        angle = half_turn(place.turn + yaw)
         found.append(InBase(turn @ (place.centre - base[:3]), angle, tool))
     return found
 
@@ -101,8 +101,9 @@ def place_rows(program: Program, arm: Arm) -> list[tuple[str, ...]]:
 
 
 def plain(text: str) -> str:
-    """A name or a message as it may stand in a script: ASCII in one line, without quotes."""
-    one = " ".join(text.replace('"', "'").split())
+    """A name or a message as it may stand in a script: ASCII in one line, without quotes and what
+    begins a comment."""
+    one = " ".join(text.replace('"', "'").replace("#", "No ").split())
     return one.encode("ascii", "replace").decode()
 
 
@@ -183,13 +184,17 @@ def _tool(program: Program, arm: Arm, settings: ProgramSettings) -> list[str]:
 def _kinds(program: Program) -> list[str]:
     kinds = dict[tuple[str, str, str], int]()
     for place in program.places:
-        size = " x ".join(f"{1000 * v:.1f}" for v in place.size)
-        key = place.what, size, f"{1000 * place.mass:.0f} g"
+        key = place.what, size_words(place), f"{1000 * place.mass:.0f} g"
         kinds[key] = kinds.get(key, 0) + len(dict.fromkeys(place.blocks))
     rows = [("kind", "number", "long x short x high, as it lies", "mass of one")]
     rows += [(kind, str(count), size, mass) for (kind, size, mass), count in kinds.items()]
     wide = [max(len(row[k]) for row in rows) for k in range(4)]
     return ["  ".join(f"{w:{n}}" for w, n in zip(row, wide, strict=True)).rstrip() for row in rows]
+
+
+def size_words(place: Place) -> str:
+    """Long side, short side and height of a block as it lies [mm]."""
+    return " x ".join(f"{1000 * v:.1f}" for v in place.size)
 
 
 def _places(program: Program, arm: Arm, refill: str) -> list[str]:

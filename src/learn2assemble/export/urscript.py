@@ -15,7 +15,7 @@ from numpy.linalg import norm
 
 from learn2assemble.errors import InputError
 from learn2assemble.export import asset
-from learn2assemble.export.place_words import plain, preparation
+from learn2assemble.export.place_words import plain, preparation, size_words
 from learn2assemble.export.robot_tables import changes, motions
 from learn2assemble.files import write_file
 from learn2assemble.geometry.rotations import quaternion_matrix
@@ -272,7 +272,8 @@ def _refill(program: Program, step: ProgramStep) -> str:
         return ""
     place = program.places[step.pick.place - 1]
     kind = plain(place.what)
-    words = f"step {step.number}: lay one {kind} at place {place.number}, then go on"
+    words = f"step {step.number}: lay one {kind} ({size_words(place)} mm) at place {place.number}"
+    words += ", then go on"
     return f'\nl2a_wait_for_block({place.number}, "{kind}", "{words}")'
 
 

@@ -233,7 +233,13 @@ def _box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     # Of a square the side nearest to x, from below 45 degrees on either side.
     if abs(length[1] - length[0]) <= 1e-6:
         turn = (turn + math.pi / 4) % (math.pi / 2) - math.pi / 4
-    turn = math.pi / 2 - (math.pi / 2 - turn) % math.pi
     size = np.array([length.max(), length.min(), high[2] - low[2]])
     middle = np.array([*ring[:4].mean(0), (low[2] + high[2]) / 2])
-    return size, middle, turn + 0.0
+    return size, middle, half_turn(turn)
+
+
+def half_turn(angle: float) -> float:
+    """The direction of a side, which has no beginning: above -pi/2, up to pi/2 and what rounding
+    adds to it [rad]."""
+    most = math.pi / 2 + 1e-4
+    return most - (most - angle) % math.pi

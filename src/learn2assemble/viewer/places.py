@@ -60,8 +60,9 @@ def place_section(records: Sequence[BuildRecord], names: Sequence[str], origin: 
         "person, lays the next one there before the step that takes it."
     ) * bool(refills)
     return (
-        '<section class="more" aria-labelledby="places-title"><h2 id="places-title">Where '
-        f'blocks are taken from</h2><p class="lead">{lead}</p><div class="scroll"><table><thead>'
+        '<section class="attempts places" aria-labelledby="places-title"><h2 id="places-title">'
+        f'Where blocks are taken from</h2><p class="lead">{lead}</p>'
+        '<div class="scroll"><table><thead>'
         f"<tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div></section>\n  "
     )
 
