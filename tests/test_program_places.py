@@ -25,6 +25,7 @@ from learn2assemble.motion.files import read_record, record_data, record_from
 from learn2assemble.motion.places import half_turn, ranges, step_numbers, supplied
 from learn2assemble.motion.program import Program, Supply, make_program
 from learn2assemble.motion.record import BuildRecord
+from learn2assemble.motion.settings import ProgramSettings
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm
 from test_robot_programs import UrScript
@@ -134,6 +135,24 @@ def test_a_person_can_prepare_from_the_beginning_of_a_script(
     assert "empty at the start; REFILL" in told
     assert "l2a_factor = 0.25 of the planned speed" in told
     assert "within 2.9" in told
+
+
+def test_places_move_with_a_taught_work_plane(
+    record: BuildRecord, made: tuple[Program, Arm], tmp_path: Path
+) -> None:
+    program, arm = made
+    frame = planned_frame(arm) + np.array([0.02, -0.01, 0.004, 0, 0, 0.02])
+    settings = ProgramSettings(base_frame=tuple(frame.tolist()))
+    done = export_program(record, "urscript", tmp_path, layout=settings)
+    told = about(done.file.read_text())
+    assert "(as taught: l2a_frame)" in told
+    assert "middle of the design is at x -480.0, y -10.0, z 4.0" in told
+    for place, row in zip(program.places, done.rows, strict=True):
+        c, s = np.cos(frame[5]), np.sin(frame[5])
+        x, y = frame[:2] + np.array([[c, -s], [s, c]]) @ place.centre[:2]
+        z = frame[2] + place.centre[2]
+        assert row[5] == ", ".join(f"{v:.1f}" for v in np.round(1000 * np.array([x, y, z]), 1))
+        assert f"in the base:  x {1000 * x:.1f}, y {1000 * y:.1f}, z {1000 * z:.1f}" in told
 
 
 def test_blocks_on_places_of_their_own_need_no_refill(tmp_path: Path) -> None:

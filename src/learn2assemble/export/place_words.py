@@ -37,11 +37,36 @@ class InBase(NamedTuple):
     (w, x, y, z); None: no attempt has held one."""
 
 
-def in_base(program: Program, arm: Arm) -> list[InBase]:
-    """The places of a program in the base frame of the controller."""
+def world_in_base(
+    arm: Arm, taught: tuple[float, ...] | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where the world lies in the base frame of the controller: position float64[3] [m], rotation
+    float64[3, 3].
+
+    Args:
+        arm: as it stands in the plan.
+        taught: x, y, z [m] and a rotation vector [rad] of another place, as it was taught.
+    """
+    if taught is not None:
+        from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs]
+
+        turned: Any = Rotation.from_rotvec(taught[3:])
+        return np.array(taught[:3]), turned.as_matrix()
     base = driver_of(arm).base
     turn = quaternion_matrix(base[3:]).T
-    yaw = math.atan2(-turn[0, 1], turn[0, 0])
+    return -turn @ base[:3], turn
+
+
+def in_base(program: Program, arm: Arm, taught: tuple[float, ...] | None = None) -> list[InBase]:
+    """The places of a program in the base frame of the controller.
+
+    Args:
+        program: with its places.
+        arm: the one of the program.
+        taught: where the world lies there, see :func:`world_in_base`.
+    """
+    middle, turn = world_in_base(arm, taught)
+    yaw = math.atan2(turn[1, 0], turn[0, 0])
     found = list[InBase]()
     for place in program.places:
         tool = None
@@ -49,10 +74,10 @@ def in_base(program: Program, arm: Arm) -> list[InBase]:
             if step.held is not None and step.pick is not None and step.pick.place == place.number:
                 q = np.ascontiguousarray(program.knots.at(np.array([step.held[0]]))[0])
                 (point,), (way,) = forward_many(get_chain(arm), q)
-                tool = np.array([*(turn @ (point - base[:3])), *matrix_quaternion(turn @ way)])
+                tool = np.array([*(middle + turn @ point), *matrix_quaternion(turn @ way)])
                 break
         angle = half_turn(place.turn + yaw)
-        found.append(InBase(turn @ (place.centre - base[:3]), angle, tool))
+        found.append(InBase(middle + turn @ place.centre, angle, tool))
     return found
 
 
@@ -84,8 +109,10 @@ def _refill_words(place: Place) -> str:
     return f"{first}; REFILL {times}, each before the step that takes it"
 
 
-def place_rows(program: Program, arm: Arm) -> list[tuple[str, ...]]:
-    """Rows below :data:`PLACE_HEAD`."""
+def place_rows(
+    program: Program, arm: Arm, taught: tuple[float, ...] | None = None
+) -> list[tuple[str, ...]]:
+    """Rows below :data:`PLACE_HEAD`, arguments as of :func:`in_base`."""
     return [
         (
             str(place.number),
@@ -96,7 +123,7 @@ def place_rows(program: Program, arm: Arm) -> list[tuple[str, ...]]:
             _millimetres(base.centre),
             place.refill_words,
         )
-        for place, base in zip(program.places, in_base(program, arm), strict=True)
+        for place, base in zip(program.places, in_base(program, arm, taught), strict=True)
     ]
 
 
@@ -129,10 +156,10 @@ def preparation(
         lines.append("But: attempts failed in this build, so steps are counted as the page counts")
         lines.append("attempts. Build again without failures before you run this.")
     sections = (
-        ("Frames", _frames(arm)),
+        ("Frames", _frames(arm, settings)),
         ("Tool", _tool(program, arm, settings)),
         ("Blocks", _kinds(program)),
-        ("Places blocks are taken from", _places(program, arm, refill)),
+        ("Places blocks are taken from", _places(program, arm, settings, refill)),
         ("Order", _order(program)),
         ("Start", _start(program, settings, resume)),
         ("Speed", _speed(program, settings)),
@@ -144,23 +171,24 @@ def preparation(
 
 def _kept(line: str) -> str:
     """A line as it may stand in a script, indented as it is."""
-    return " " * (len(line) - len(line.lstrip())) + line.encode("ascii", "replace").decode().strip()
+    return " " * (len(line) - len(line.lstrip())) + " ".join(
+        line.encode("ascii", "replace").decode().strip().splitlines()
+    )
 
 
-def _frames(arm: Arm) -> list[str]:
-    base = driver_of(arm).base
-    turn = quaternion_matrix(base[3:])
+def _frames(arm: Arm, settings: ProgramSettings) -> list[str]:
+    middle, turn = world_in_base(arm, settings.base_frame)
     yaw = math.atan2(turn[1, 0], turn[0, 0])
+    as_planned = "as planned" if settings.base_frame is None else "as taught"
     facing = arm.base_yaw - get_arm(arm.name).base_yaw
     return [
         "world: x to the right of the design, y to its back, z up; the origin lies on the table,",
         "  in the middle of the design (not at the corner O of page and cards).",
         "base: the frame Base of the controller, in which the teach pendant shows positions.",
-        f"base in the world: {_named(base[:3])}, turned by {_degrees(yaw)} about z",
-        f"site in the base: the middle of the design is at {_named(turn.T @ -base[:3])}, and the x "
-        "of the",
-        f"  world points {_degrees(-yaw)} from the x of the base (l2a_planned_frame)",
-        f"the same stand elsewhere: plan.json, arm.base, has {_degrees(facing)}, the way the arm "
+        f"base in the world: {_named(turn.T @ -middle)}, turned by {_degrees(-yaw)} about z",
+        f"site in the base: the middle of the design is at {_named(middle)}, and the x of the",
+        f"  world points {_degrees(yaw)} from the x of the base ({as_planned}: l2a_frame)",
+        f"other files, as planned: plan.json, arm.base, has {_degrees(facing)}, the way the arm "
         "faces;",
         f"  trajectory.json, base_yaw, has {_degrees(arm.base_yaw)}, the turn of its simulated "
         "model.",
@@ -197,12 +225,13 @@ def size_words(place: Place) -> str:
     return " x ".join(f"{1000 * v:.1f}" for v in place.size)
 
 
-def _places(program: Program, arm: Arm, refill: str) -> list[str]:
+def _places(program: Program, arm: Arm, settings: ProgramSettings, refill: str) -> list[str]:
     lines = [
         "x, y, z: middle of the block as it lies; turn: of its long side, from x about z.",
         "A block stands wrong by as much as it lay wrong: lay blocks to 1 mm, against a stop.",
     ]
-    for place, base in zip(program.places, in_base(program, arm), strict=True):
+    seen = in_base(program, arm, settings.base_frame)
+    for place, base in zip(program.places, seen, strict=True):
         count = len(place.blocks)
         lines += [
             f"place {place.number}: {count} of {place.what}, step{'s' * (len(place.steps) > 1)} "

@@ -147,8 +147,9 @@ def export_program(
     program = make_program(source, arm)
     write(program, arm, file, **options)
     used = usage(program.knots, arm.bounds)
-    share = options["settings"].speed_factor if options else 1.0
-    rows = tuple(place_rows(program, arm))
+    told = options.get("settings")
+    share = 1.0 if told is None else told.speed_factor
+    rows = tuple(place_rows(program, arm, None if told is None else told.base_frame))
     return Exported(file, program.seconds, program.stretch, used, program.places, share, rows)
 
 

@@ -15,7 +15,7 @@ from numpy.linalg import norm
 
 from learn2assemble.errors import InputError
 from learn2assemble.export import asset
-from learn2assemble.export.place_words import plain, preparation, size_words
+from learn2assemble.export.place_words import plain, preparation, size_words, world_in_base
 from learn2assemble.export.robot_tables import changes, motions
 from learn2assemble.files import write_file
 from learn2assemble.geometry.rotations import quaternion_matrix
@@ -130,11 +130,10 @@ def _head(
 def planned_frame(arm: Arm) -> np.ndarray:
     """float64[6]: the world frame in the base frame of the controller as the arm stands in the
     plan: x, y, z [m] and a rotation vector [rad]."""
-    base = driver_of(arm).base
-    turn = quaternion_matrix(base[3:]).T
     from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs]
 
-    return np.concatenate([-turn @ base[:3], Rotation.from_matrix(turn).as_rotvec()])
+    middle, turn = world_in_base(arm)
+    return np.concatenate([middle, Rotation.from_matrix(turn).as_rotvec()])
 
 
 def _pose(pose: np.ndarray) -> np.ndarray:
