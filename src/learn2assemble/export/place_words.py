@@ -312,8 +312,8 @@ def _speed(program: Program, settings: ProgramSettings) -> list[str]:
         f"l2a_factor = {factor:g} of the planned speed{slow}; about "
         f"{program.seconds / factor:.0f} s in all, without waiting.",
         f"The fastest joint turns by {factor * fastest:.0f} a second, as planned by {fastest:.0f}.",
-        "When a whole run was watched, raise it, up to 1: below, by l2a export --speed, or in the",
-        "  layout file (speed_factor).",
+        "When a whole run was watched, raise it, up to 1: below, as speed of the export, or as",
+        "  speed_factor of the layout file.",
     ]
 
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from html import escape
 
 import numpy as np
 
 from learn2assemble.assembly.instruction_words import extent_words, length_words
 from learn2assemble.motion.places import Place, supplied
-from learn2assemble.motion.record import BuildRecord
 from learn2assemble.viewer.html import NUMBER, row
+from learn2assemble.viewer.playback import Playback
 
 _HEAD = (
     "Place",
@@ -29,20 +28,23 @@ _HEAD = (
 _NUMBERS = (2, 4, 5, 6, 7, 8)
 
 
-def place_section(records: Sequence[BuildRecord], names: Sequence[str], origin: np.ndarray) -> str:
+def place_section(playback: Playback, origin: np.ndarray) -> str:
     """The table of places with its heading; nothing where no block is taken from a place.
 
     Args:
-        records: one for each arm.
-        names: of the arms.
+        playback: of all arms.
         origin: float64[3]: the point O of the instructions in the world [m].
     """
-    several, rows, refills = len(records) > 1, list[str](), 0
-    for record, name in zip(records, names, strict=True):
-        for place in supplied(record).places:
-            refills += place.refills
-            cells = [*([escape(name)] if several else []), *map(escape, _cells(place))]
-            rows.append(row(cells, {k + several: NUMBER for k in _NUMBERS}))
+    several, found = len(playback.arms) > 1, supplied(playback.record)
+    rows, refills = list[str](), sum(place.refills for place in found.places)
+    for place in found.places:
+        who = {
+            playback.arms[step.arm].name
+            for step, pick in zip(playback.steps, found.picks, strict=True)
+            if pick is not None and pick.place == place.number
+        }
+        cells = [", ".join(sorted(who))] * several + _cells(place)
+        rows.append(row(list(map(escape, cells)), {k + several: NUMBER for k in _NUMBERS}))
     if not rows:
         return ""
     head = "<th>Arm</th>" * several + "".join(
