@@ -180,13 +180,14 @@ def test_an_error_names_the_argument_in_python_and_the_option_in_a_terminal(
 def test_a_reason_names_the_option_where_it_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
     reason = "time ran out after 60 s; `seconds=` gives more"
     said = Output(True)
-    said.table("", ("quantity", "value"), [("reason", reason)])
+    said.table("", ("quantity", "value [mm]"), [("reason", reason)])
     said.progress(reason)
     said.finish({"reason": reason})
     shown = capsys.readouterr()
     assert shown.err.count("--seconds gives more") == 2
     assert "--seconds gives more" in shown.out
     assert "`" not in shown.err + shown.out
+    assert "value [mm]" in shown.err
 
 
 def test_no_text_of_the_library_names_an_option() -> None:

@@ -547,7 +547,7 @@ def test_urscript_is_well_formed_and_checks_what_is_held(
     program = make_program(arm_record("ur5e", 4), get_arm("ur5e"))
     reached = [step for step in program.steps if step.checks]
     checks = [given for name, given, _ in script.calls if name == "l2a_check"]
-    assert checks == [[s.number, s.cells[0]] for s in reached for _ in range(2)]
+    assert checks == [[s.number, f'"block {s.cells[0]}"'] for s in reached for _ in range(2)]
     closed = False
     for name in calls[calls.index("set_tcp") :]:
         closed = {"l2a_close": True, "l2a_open": False}.get(name, closed)

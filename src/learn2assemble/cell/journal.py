@@ -261,8 +261,16 @@ class Recording:
         for step in found.steps:
             before = steps[-1].after if steps else whole(step.before)
             steps.append(dataclasses.replace(step, before=before, after=whole(step.after)))
+        names, kinds = [""] * len(found.objects), [""] * len(found.objects)
+        for body, piece in zip(self.body, self.world.pieces, strict=True):
+            names[body], kinds[body] = piece.id, piece.kind
         return dataclasses.replace(
-            found, steps=tuple(steps), hands=tuple(self.hands), studs=self._joints()
+            found,
+            steps=tuple(steps),
+            hands=tuple(self.hands),
+            studs=self._joints(),
+            names=tuple(names),
+            kinds=tuple(kinds),
         )
 
     def _joints(self) -> Studs | None:

@@ -144,7 +144,11 @@ class Output:
             self.say(title)  # A title of the table would be broken to its width.
         table = Table(box=None, pad_edge=False)
         for number, column in enumerate(columns):
-            table.add_column(column, justify="right" if number else "left", no_wrap=number == 0)
+            table.add_column(
+                column.replace("[", "\\["),
+                justify="right" if number else "left",
+                no_wrap=number == 0,
+            )
         lines = [[_cell(value) for value in row] for row in rows]
         for line in lines:
             table.add_row(*[cell.replace("[", "\\[") for cell in line])

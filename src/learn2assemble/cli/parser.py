@@ -160,6 +160,18 @@ friction: Callable[[str], float] = number(float, 0, 10, "a coefficient of fricti
 pull: Callable[[str], float] = number(float, 0, 1e3, "a force from 0 to 1000 N")
 
 
+def percent(text: str) -> float:
+    """A share, ``0.3`` or ``30%``, above 0 and up to 1."""
+    body, whole = (text[:-1], 100.0) if text.endswith("%") else (text, 1.0)
+    try:
+        found = float(body) / whole
+    except ValueError:
+        found = 0.0
+    if not 0 < found <= 1:
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected a share as 0.3 or 30%, up to 1")
+    return found
+
+
 def named(text: str) -> Path:
     """The name of a file or folder; an empty one, as of a variable that is not set, would be the
     folder one is in."""

@@ -6,7 +6,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any
 
-from learn2assemble.cli.parser import Command, arg, command, count, named
+from learn2assemble.cli.parser import Command, arg, command, count, named, percent
 from learn2assemble.errors import InputError
 from learn2assemble.values import to_plain
 
@@ -22,18 +22,6 @@ WORDS = {
     "remove": "take {} away, out of the hand or its place",
 }
 """What a person is asked to do."""
-
-
-def percent(text: str) -> float:
-    """A share, ``0.3`` or ``30%``, above 0 and up to 1."""
-    body, whole = (text[:-1], 100.0) if text.endswith("%") else (text, 1.0)
-    try:
-        found = float(body) / whole
-    except ValueError:
-        found = 0.0
-    if not 0 < found <= 1:
-        raise argparse.ArgumentTypeError(f"got {text!r}, expected a share as 0.3 or 30%, up to 1")
-    return found
 
 
 @command(

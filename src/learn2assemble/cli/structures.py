@@ -14,6 +14,7 @@ from learn2assemble.cli.parser import (
     command,
     friction,
     named,
+    percent,
     pull,
     reading_arguments,
     reading_of,
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
     from learn2assemble.cli.output import Output
 
 COMMANDS: dict[str, Command] = {}
+_PLACE_KEYS = ("place", "kind", "blocks", "world_mm", "turn_deg", "base_mm", "refill")
+"""Of a place in the result of ``l2a export``, as the table on the terminal has it."""
 FALLS = 1
 """Exit code of ``l2a check`` where the assembly falls."""
 DIFFERS = 1
@@ -331,6 +334,13 @@ def _format_argument(parser: argparse.ArgumentParser) -> None:
         help="urscript: layout whose section `program` has speed, inputs, outputs, taught frame",
     ),
     arg("--resume-from", type=int, metavar="N", help="urscript: leave out the steps before N"),
+    arg("--speed", type=percent, metavar="SHARE", help="urscript: of the plan's, as 50%% (25%%)"),
+    arg(
+        "--refill",
+        metavar="WHO",
+        help="urscript: who lays blocks where others were taken: hand, the program asks (default), "
+        "or feeder, it does not ask",
+    ),
 )
 def _export(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.export import PROGRAM_FORMATS
@@ -340,7 +350,7 @@ def _export(options: argparse.Namespace, output: Output) -> None:
         return _export_program(options, output)
     # A wrong name is refused before anything is read.
     look_up("format", options.format, {**FORMATS, **dict.fromkeys(PROGRAM_FORMATS)})
-    for word in ("layout", "resume_from"):
+    for word in ("layout", "resume_from", "speed", "refill"):
         if getattr(options, word) is not None:
             got = f"a value for the format {options.format}"
             raise InputError(f"--{word.replace('_', '-')}", got, "the format urscript")
@@ -350,7 +360,8 @@ def _export(options: argparse.Namespace, output: Output) -> None:
 
 
 def _export_program(options: argparse.Namespace, output: Output) -> None:
-    from learn2assemble.export.robot_programs import export_program
+    from learn2assemble.export.place_words import PLACE_HEAD
+    from learn2assemble.export.robot_programs import WHERE, export_program
 
     done = export_program(
         options.plan,
@@ -358,12 +369,22 @@ def _export_program(options: argparse.Namespace, output: Output) -> None:
         options.out,
         layout=options.layout,
         resume_from=options.resume_from,
+        speed=options.speed,
+        refill=options.refill,
     )
+    if done.rows:
+        output.table("blocks are taken from", PLACE_HEAD, done.rows)
     used = ", ".join(f"{name} {100 * share:.0f} %" for name, share in done.used.items())
     output.say(
         f"{options.format}: {done.file}, {done.seconds:.1f} s, of the limits at most {used}, "
         f"time stretched by {done.stretch:.3f} at most"
     )
+    if options.format == "urscript":
+        output.say(
+            f"speed: {100 * done.speed:g} % of the planned one, about "
+            f"{done.seconds / done.speed:.0f} s; --speed says another share"
+        )
+    output.say(f"where blocks, base and arm have to be: {WHERE[options.format]} of {done.file}")
     output.finish(
         {
             "format": options.format,
@@ -371,6 +392,8 @@ def _export_program(options: argparse.Namespace, output: Output) -> None:
             "seconds": round(done.seconds, 3),
             "stretch": round(done.stretch, 6),
             "used": {name: round(share, 6) for name, share in done.used.items()},
+            "speed": done.speed,
+            "places": [dict(zip(_PLACE_KEYS, row, strict=True)) for row in done.rows],
         }
     )
 
@@ -411,11 +434,12 @@ def _replay(options: argparse.Namespace, output: Output) -> int:
 
     done = replay_program(options.file, options.arm)
     worst = int(done.error.argmax())
+    name = done.names[worst]
     words = done.fault or ("the same structure" if done.same else "another structure")
     output.say(
         f"{options.file.name}: {words}, after {done.seconds:.1f} s of motion {len(done.error)} "
-        f"blocks are {1e3 * done.error.mean():.2f} mm from where they should be on average, block "
-        f"{worst} {1e3 * done.error[worst]:.2f} mm (limit {1e3 * SAME:g})"
+        f"blocks are {1e3 * done.error.mean():.2f} mm from where they should be on average, "
+        f"{name} {1e3 * done.error[worst]:.2f} mm (limit {1e3 * SAME:g})"
     )
     output.finish(
         {
@@ -426,6 +450,7 @@ def _replay(options: argparse.Namespace, output: Output) -> int:
             "mean_error_m": round(float(done.error.mean()), 7),
             "worst_error_m": round(float(done.error[worst]), 7),
             "worst_block": worst,
+            "worst_name": name,
         }
     )
     return 0 if done.same else DIFFERS

@@ -8,11 +8,14 @@ All of them are made from the record that a build with an arm leaves, by way of 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from learn2assemble.errors import InputError, look_up
+from learn2assemble.assembly.files import read_assembly
+from learn2assemble.errors import InputError, check_name, look_up
 from learn2assemble.export.formats import file_at
+from learn2assemble.export.place_words import place_rows
 from learn2assemble.export.robot_tables import read_table, write_franka, write_table
 from learn2assemble.export.ros2 import is_bag, read_bag, write_bag
 from learn2assemble.export.urscript import write_urscript
@@ -20,12 +23,14 @@ from learn2assemble.files import as_path, check_exists, check_output
 from learn2assemble.motion.driver import arm_of
 from learn2assemble.motion.files import read_record
 from learn2assemble.motion.knots import usage
+from learn2assemble.motion.places import Place
 from learn2assemble.motion.program import Program, make_program
 from learn2assemble.motion.record import BuildRecord
-from learn2assemble.motion.settings import ProgramSettings, read_settings
+from learn2assemble.motion.settings import SLOWEST_SHARE, ProgramSettings, read_settings
 from learn2assemble.registry import Registry
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.registry import ARMS
+from learn2assemble.values import number
 
 if TYPE_CHECKING:
     from learn2assemble.simulation.dry_run import DryRun
@@ -42,6 +47,18 @@ PROGRAMS: Registry[tuple[str, Callable[..., None]]] = Registry(
     },
 )
 """Usual file name and writer of every format."""
+WHERE = {
+    "csv": "line `places` of the header",
+    "franka": "line `places` of the header",
+    "urscript": "comments at the beginning",
+    "ros2": "`places` in the message on /program",
+}
+"""Where a file of each format says where blocks are taken from."""
+REFILL = {
+    "hand": "a person, whom the program asks",
+    "feeder": "something that has the next block there in time",
+}
+"""Who lays blocks where others were taken."""
 
 
 class Exported(NamedTuple):
@@ -54,6 +71,12 @@ class Exported(NamedTuple):
     """Largest factor by which the time of a motion was stretched to stay within the limits."""
     used: dict[str, float]
     """Largest share of the limits of velocity, acceleration and jerk, anywhere in the motion."""
+    places: tuple[Place, ...] = ()
+    """Where blocks are taken from."""
+    speed: float = 1.0
+    """Share of the planned speed at which the program begins; ``seconds`` are of all of it."""
+    rows: tuple[tuple[str, ...], ...] = ()
+    """The places as a table, below :data:`~.place_words.PLACE_HEAD`."""
 
 
 def export_program(
@@ -63,6 +86,8 @@ def export_program(
     *,
     layout: ProgramSettings | str | Path | None = None,
     resume_from: int | None = None,
+    speed: float | None = None,
+    refill: str | None = None,
 ) -> Exported:
     """Write the program of a robot that repeats a build.
 
@@ -76,6 +101,12 @@ def export_program(
             top of the program (``docs/layouts.md``), or these settings; by default their defaults.
         resume_from: of ``urscript``: number of the first step that the program carries out when
             it is run; by default its first one.
+        speed: of ``urscript``: share of the planned speed, 0.001 to 1; by default ``speed_factor``
+            of the layout, which is 0.25 where it is not said: slow enough for a first run. Tables
+            and bags have the planned speed.
+        refill: of ``urscript``: who lays blocks where others were taken. ``hand`` (the default):
+            the program stops before each such step and asks a person for the block. ``feeder``: it
+            takes the next one without asking, as a magazine of the simulation has it there in time.
 
     Raises:
         UnknownNameError: naming the nearest format.
@@ -88,7 +119,12 @@ def export_program(
     file = file_at(path, name)
     check_output(file, "program")  # Before anything is read.
     options: dict[str, Any] = {}
-    for word, given in (("layout", layout), ("resume_from", resume_from)):
+    for word, given in (
+        ("layout", layout),
+        ("resume_from", resume_from),
+        ("speed", speed),
+        ("refill", refill),
+    ):
         if given is not None and format != "urscript":
             raise InputError(word, f"a value for the format {format}", "the format urscript")
     if format == "urscript":
@@ -97,7 +133,12 @@ def export_program(
             settings = read_settings(settings)
         if not isinstance(settings, ProgramSettings):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise InputError("layout", settings, "ProgramSettings, or a layout file")
-        options = {"settings": settings, "resume_from": resume_from}
+        if speed is not None:
+            if not SLOWEST_SHARE <= number(speed, "speed") <= 1:
+                raise InputError("speed", speed, f"{SLOWEST_SHARE:g} to 1")
+            settings = replace(settings, speed_factor=float(speed))
+        check_name("refill", refill or "hand", REFILL)
+        options = {"settings": settings, "resume_from": resume_from, "refill": refill or "hand"}
     if isinstance(source, str | Path):
         source = _read_record(Path(source))
     if not isinstance(source, BuildRecord):  # pyright: ignore[reportUnnecessaryIsInstance]
@@ -106,7 +147,10 @@ def export_program(
     program = make_program(source, arm)
     write(program, arm, file, **options)
     used = usage(program.knots, arm.bounds)
-    return Exported(file, program.seconds, program.stretch, used)
+    told = options.get("settings")
+    share = 1.0 if told is None else told.speed_factor
+    rows = tuple(place_rows(program, arm, None if told is None else told.base_frame))
+    return Exported(file, program.seconds, program.stretch, used, program.places, share, rows)
 
 
 def _read_record(path: Path) -> BuildRecord:
@@ -120,7 +164,14 @@ def _read_record(path: Path) -> BuildRecord:
     if not file.is_file():
         expected = "the folder of a build with an arm (l2a build --arm), or its trajectory.json"
         raise InputError("PLAN", str(path), expected)
-    return read_record(file)
+    record, told = read_record(file), file.with_name("assembly.json")
+    if record.names or not told.is_file():
+        return record
+    # Records of older versions do not say what their blocks are called.
+    blocks = read_assembly(told).blocks[: len(record.objects)]
+    left = [""] * (len(record.objects) - len(blocks))
+    names, kinds = ([*(getattr(b, key) for b in blocks), *left] for key in ("id", "kind"))
+    return replace(record, names=tuple(names), kinds=tuple(kinds))
 
 
 def read_program(path: str | Path, arm: str) -> tuple[Program, Arm]:

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from learn2assemble.errors import InputError
+from learn2assemble.export.place_words import places_data
 from learn2assemble.files import load_json, read_bytes, write_file
 from learn2assemble.geometry.hulls import Hull, hull_of
 from learn2assemble.geometry.rotations import quaternion_matrix
@@ -45,6 +46,10 @@ MOST_BYTES = 1_000_000_000
 """Largest file that is read, unpacked."""
 SLACK = 0.005
 """By this share the differences between the lines of a table may pass a limit: they are rounded."""
+
+
+_NO_COLUMN = str.maketrans(dict.fromkeys(',"#\r\n', "_"))
+"""What a word in a column of a table may not hold."""
 
 
 # ---------------------------------------------------------------- what all files say
@@ -79,11 +84,14 @@ def header(program: Program, arm: Arm) -> dict[str, Any]:
             "end": blocks.end,
             "supply": [one._asdict() | {"time": round(one.time, 6)} for one in blocks.supply],
             **({} if blocks.studs is None else {"studs": studs_data(blocks.studs)}),
+            **({"names": blocks.names, "kinds": blocks.kinds} if blocks.names else {}),
         },
+        "places": places_data(program, arm),
         "hands": [hand._asdict() for hand in program.hands],
         "steps": [
             {
                 "step": step.number,
+                "block": blocks.name(step.cells[0]),
                 "cells": step.cells,
                 "target": step.target,
                 "end": round(step.end, 6),
@@ -153,6 +161,7 @@ def read_header(data: Any, source: str, name: str) -> Header:
             density,
             None if told.get("hull") is None else tuple(map(_hull, told["hull"])),
             None if told.get("studs") is None else studs_from(told["studs"], count),
+            *(_words(told.get(key, ()), count) for key in ("names", "kinds")),
         )
         steps = tuple(
             ProgramStep(
@@ -180,6 +189,18 @@ def read_header(data: Any, source: str, name: str) -> Header:
 
 def _hull(corners: Any) -> Hull | None:
     return None if corners is None else hull_of(_array(corners, len(corners), 3))
+
+
+def _words(value: Any, count: int) -> tuple[str, ...]:
+    """A word for every cell, or none.
+
+    Raises:
+        ValueError: for another number of words.
+    """
+    found = tuple(map(str, value))
+    if len(found) not in (0, count):
+        raise ValueError(f"{len(found)} words for {count} cells")
+    return found
 
 
 def _check_limits(given: Any, joints: int, source: str) -> None:
@@ -257,15 +278,16 @@ def write_table(program: Program, arm: Arm, path: Path, more: dict[str, Any] | N
                     time,
                     program.motion[piece],
                     program.step[piece],
-                    blocks[piece],
                     *program.knots.at(time),
                     tool[program.states_at(time)],
                 ]
             )
             stages: list[int] = program.stage[piece].tolist()
             names = [STAGES[k] if k >= 0 else "" for k in stages]
-            rows = zip((numbers + 0.0).tolist(), names, strict=True)
-            file.write("".join(pattern % tuple(row) % name for row, name in rows).encode())
+            steps: list[int] = program.step[piece].tolist()
+            words = zip([blocks.get(k, "") for k in steps], names, strict=True)
+            rows = zip((numbers + 0.0).tolist(), words, strict=True)
+            file.write("".join(pattern % tuple(row) % told for row, told in rows).encode())
     write_file(path, out.getvalue(), "program")
 
 
@@ -280,18 +302,17 @@ def _columns(fields: list[str], arm: Arm) -> list[tuple[str, str]]:
 
     Digits are such that differences over a millisecond show the jerk within 0.1 rad/s^3.
     """
-    columns = [("time", "%.3f"), ("motion", "%d"), ("step", "%d"), ("block", "%d")]
+    columns = [("time", "%.3f"), ("motion", "%d"), ("step", "%d"), ("block", "%s")]
     for what, form in (("q", "%.10f"), ("dq", "%.8f"), ("ddq", "%.5f")):
         columns += [(f"{what}_{joint}", form) for joint in driver_of(arm).joints]
     columns += [(f, "%d" if f == "vacuum" else "%.6g") for f in fields]
     return [*columns, ("stage", "%s")]
 
 
-def _block_of(program: Program) -> np.ndarray:
-    """int64[k-1]: the block of every piece's step."""
-    blocks = np.array([-1, *(step.cells[0] for step in program.steps)])
-    numbers = np.array([-1, *(step.number for step in program.steps)])
-    return blocks[np.searchsorted(numbers, program.step)]
+def _block_of(program: Program) -> dict[int, str]:
+    """What the block of every step is called, by its number, as a column may hold it."""
+    name = program.blocks.name
+    return {step.number: name(step.cells[0]).translate(_NO_COLUMN) for step in program.steps}
 
 
 def read_table(path: Path, name: str) -> tuple[Program, Arm]:
@@ -313,7 +334,8 @@ def read_table(path: Path, name: str) -> tuple[Program, Arm]:
     if names != expected:
         wrong = next((a for a, b in zip(names, expected, strict=False) if a != b), len(names))
         raise InputError(f"{source}: columns", wrong, ", ".join(expected))
-    kinds = [(one, "U12" if one == "stage" else "f8") for one in expected]
+    words = {"stage": "U12", "block": "U1"}  # Names stand in the header, too.
+    kinds = [(one, words.get(one, "f8")) for one in expected]
     try:
         rows = np.loadtxt(
             io.BytesIO(content),
@@ -330,11 +352,12 @@ def read_table(path: Path, name: str) -> tuple[Program, Arm]:
     if head.get("rows") != len(rows) or len(rows) < 2:
         raise InputError(f"{source}: lines", len(rows), f"{head.get('rows')}: it is not complete")
     n = len(arm.joints)
-    table = np.column_stack([rows[one] for one in expected[:-1]])
+    numbers = [one for one in expected if one not in words]
+    table = np.column_stack([rows[one] for one in numbers])
     if not np.isfinite(table).all():
         i, j = np.argwhere(~np.isfinite(table))[0].tolist()
-        raise InputError(f"{source}: {expected[j]} of line {i + 1}", table[i, j], "a finite number")
-    q, v, a = (table[:, 4 + k * n : 4 + (k + 1) * n] for k in range(3))
+        raise InputError(f"{source}: {numbers[j]} of line {i + 1}", table[i, j], "a finite number")
+    q, v, a = (table[:, 3 + k * n : 3 + (k + 1) * n] for k in range(3))
     knots = Knots(table[:, 0].copy(), q, v, a)
     _check_motion(knots, arm, source)
     stage = np.array([STAGES.index(one) if one in STAGES else -1 for one in rows["stage"]])

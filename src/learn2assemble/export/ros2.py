@@ -114,16 +114,16 @@ Message = tuple[int, str, dict[str, Any]]
 def _head_messages(program: Program, arm: Arm) -> Iterator[Message]:
     yield 0, "/program", {"data": to_json(header(program, arm))}
     pairs = np.column_stack([program.step, program.stage])
-    cells = {step.number: step.cells[0] for step in program.steps}
+    blocks = {step.number: program.blocks.name(step.cells[0]) for step in program.steps}
     for k in np.flatnonzero(np.any(np.diff(pairs, axis=0, prepend=-1), axis=1)).tolist():
         told: list[int] = pairs[k].tolist()
         number, stage = told
-        words = f"step {number}, block {cells.get(number, -1)}: "
+        words = f"step {number}, {blocks.get(number, 'no block')}: "
         words += STAGES[stage] if stage >= 0 else "rest"
         yield _ns(program.knots.time[k]), "/stage", {"data": words}
     for step in program.steps:
         for time in step.checks:
-            yield _ns(time), "/check", {"data": f"block {step.cells[0]}"}
+            yield _ns(time), "/check", {"data": program.blocks.name(step.cells[0])}
 
 
 def _motion_messages(program: Program, arm: Arm) -> Iterator[Message]:

@@ -15,6 +15,7 @@ from numpy.linalg import norm
 
 from learn2assemble.errors import InputError
 from learn2assemble.export import asset
+from learn2assemble.export.place_words import plain, preparation, size_words, world_in_base
 from learn2assemble.export.robot_tables import changes, motions
 from learn2assemble.files import write_file
 from learn2assemble.geometry.rotations import quaternion_matrix
@@ -43,8 +44,11 @@ def write_urscript(
     path: Path,
     settings: ProgramSettings | None = None,
     resume_from: int | None = None,
+    refill: str = "hand",
 ) -> None:
     """A URScript program: moves along the joint positions of the planned path.
+
+    Comments at its top say what a person has to prepare (:func:`~.place_words.preparation`).
 
     It begins with ``def`` and ends with ``end`` in the first column and all else is indented, as
     controllers ask for on their port 30002, where it runs when it has been received.
@@ -60,6 +64,8 @@ def write_urscript(
         path: the file.
         settings: what stands at the top; by default the defaults.
         resume_from: number of the first step that is carried out; by default the first one.
+        refill: who lays blocks where others were taken: ``hand``, and the program asks for each, or
+            ``feeder``.
 
     Raises:
         InputError: for an arm without six joints, a step that the program does not have, and a
@@ -67,7 +73,7 @@ def write_urscript(
     """
     if len(arm.joints) != 6 or arm.name != "ur5e":
         raise InputError("format", f"urscript for {arm.name}", "the arm ur5e")
-    text = _head(program, arm, settings or ProgramSettings(), resume_from)
+    text = _head(program, arm, settings or ProgramSettings(), resume_from, refill)
     told = sorted(_told(program, arm), key=lambda one: one.time)
     checks = [time for step in program.steps for time in step.checks]
     lines: list[str] = []
@@ -83,19 +89,23 @@ def write_urscript(
     write_file(path, text, "program")
 
 
-def _head(program: Program, arm: Arm, settings: ProgramSettings, resume_from: int | None) -> str:
+def _head(
+    program: Program, arm: Arm, settings: ProgramSettings, resume_from: int | None, refill: str
+) -> str:
     """The variables and functions at the top, and what is done before the first step."""
     numbers = [step.number for step in program.steps]
     resume = numbers[0] if resume_from is None else resume_from
     if isinstance(resume, bool) or resume not in numbers:
         raise InputError("resume_from", resume, f"a step from {numbers[0]} to {numbers[-1]}")
+    about = preparation(program, arm, settings, refill, resume)
     driver = driver_of(arm)
     planned = planned_frame(arm)
     taught = planned if settings.base_frame is None else np.array(settings.base_frame)
     _check_taught(taught, planned)
     output, held = settings.output, settings.input
     return asset("urscript.script").format(
-        about=f"{len(numbers)} moves, {program.seconds:.0f} s, tool {program.tool}",
+        about="\n".join(f"  # {line}".rstrip() for line in about),
+        by_hand=refill == "hand",
         factor=f"{settings.speed_factor:g}",
         resume=resume,
         first=numbers[0],
@@ -120,11 +130,10 @@ def _head(program: Program, arm: Arm, settings: ProgramSettings, resume_from: in
 def planned_frame(arm: Arm) -> np.ndarray:
     """float64[6]: the world frame in the base frame of the controller as the arm stands in the
     plan: x, y, z [m] and a rotation vector [rad]."""
-    base = driver_of(arm).base
-    turn = quaternion_matrix(base[3:]).T
     from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs]
 
-    return np.concatenate([-turn @ base[:3], Rotation.from_matrix(turn).as_rotvec()])
+    middle, turn = world_in_base(arm)
+    return np.concatenate([middle, Rotation.from_matrix(turn).as_rotvec()])
 
 
 def _pose(pose: np.ndarray) -> np.ndarray:
@@ -208,18 +217,20 @@ def _told(program: Program, arm: Arm) -> Iterator[_Line]:
             begin,
             "end\n" * bool(k)
             + (
-                f"# step {step.number}, block {step.cells[0]}\n"
+                f"# step {_step_words(program, step)}\n"
                 f"if (l2a_resume_from <= {step.number}):\n"
                 f"{_pauses(program, k)}"
                 f"l2a_start({step.number}, [{_list(first)}], {state.width:.4f}, {state.speed:.3f})"
+                f"{_taken_back(program, k)}{_refill(program, step)}"
             ),
         )
         for time in step.checks:
-            yield _Line(time, f"l2a_check({step.number}, {step.cells[0]})")
+            name = plain(program.blocks.name(step.cells[0]))
+            yield _Line(time, f'l2a_check({step.number}, "{name}")')
         begin = step.end
-    last = _pauses(program, len(program.steps))
+    last = _pauses(program, len(program.steps)) + _taken_back(program, len(program.steps))
     if last:
-        yield _Line(begin, last.removesuffix("\n"))
+        yield _Line(begin, last.strip("\n"))
     (first, _), *later = changes(program)
     was_closed = bool(first.force) or first.vacuum
     for state, new in later:
@@ -237,8 +248,46 @@ def _told(program: Program, arm: Arm) -> Iterator[_Line]:
 
 def _pauses(program: Program, done: int) -> str:
     """Calls that wait for what is done by hand after so many steps, one a line."""
-    words = (hand.words.replace('"', "'") for hand in program.hands if hand.after == done)
+    words = (plain(hand.words) for hand in program.hands if hand.after == done)
     return "".join(f'popup("{word}, then go on", title="l2a", blocking=True)\n' for word in words)
+
+
+def _step_words(program: Program, step: ProgramStep) -> str:
+    """The comment of a step: number, block, where that comes from and where it goes."""
+    blocks, cell = program.blocks, step.cells[0]
+    kind = blocks.kinds[cell] if blocks.kinds else ""
+    said = f"{step.number}: {blocks.name(cell)}{f' ({kind})' * bool(kind)}"
+    if step.plan_step not in (None, step.number):
+        said = said.replace(":", f", an attempt at step {step.plan_step} of the plan:", 1)
+    where = "where it was put before" if step.pick is None else f"place {step.pick.place}"
+    x, y, z = (np.round(1000 * step.target[:3], 1) + 0.0).tolist()
+    said += f" from {where} to x {x:.1f}, y {y:.1f}, z {z:.1f} mm (world)"
+    return plain(said + " (failed in the build)" * (not step.reached))
+
+
+def _refill(program: Program, step: ProgramStep) -> str:
+    """A call that waits until the block of a step lies at its place, in a line of its own."""
+    if step.pick is None or not step.pick.refill:
+        return ""
+    place = program.places[step.pick.place - 1]
+    kind = plain(place.what)
+    words = f"step {step.number}: lay one {kind} ({size_words(place)} mm) at place {place.number}"
+    words += ", then go on"
+    return f'\nl2a_wait_for_block({place.number}, "{kind}", "{words}")'
+
+
+def _taken_back(program: Program, done: int) -> str:
+    """Calls that wait until what a magazine takes back after so many steps is gone."""
+    if not done:
+        return ""
+    begin = program.steps[done - 2].end if done > 1 else 0.0
+    said = ""
+    for one in program.blocks.supply:
+        if begin + 1e-9 < one.time <= program.steps[done - 1].end + 1e-9 and one.poses[0, 2] < 0:
+            name = plain(program.blocks.name(one.cells[0]))
+            words = f"take {name} away, where the arm has put it down, then go on"
+            said += f'\nl2a_wait_until_taken("{name}", "{words}")'
+    return said
 
 
 def _payload(program: Program, arm: Arm, time: float, load: float) -> str:

@@ -25,6 +25,11 @@ from learn2assemble.robot.moves import STAGES, Outcome
 from learn2assemble.values import integer
 
 FORMAT, VERSION = "learn2assemble-trajectory", 5
+UNITS = (
+    "s, m, rad; world frame, z up; base_yaw turns the model of the arm, "
+    "arm.base of plan.json says which way it faces"
+)
+"""A reminder for who opens the file."""
 DECIMALS = 6
 MOST, MOST_JOINT = 1e6, 100.0
 """Largest magnitudes of numbers and of joint angles [rad] in a file."""
@@ -53,7 +58,7 @@ def read_record(path: Path) -> BuildRecord:
 
 def record_data(record: BuildRecord) -> dict[str, Any]:
     """The content of ``trajectory.json``: plain numbers, words and lists."""
-    head = {"format": FORMAT, "version": VERSION, "units": "s, m, rad; world frame, z up"}
+    head = {"format": FORMAT, "version": VERSION, "units": UNITS}
     steps: list[dict[str, Any]] = []
     for step in map(_plain, record.steps):
         samples = step.pop("samples")
@@ -64,6 +69,9 @@ def record_data(record: BuildRecord) -> dict[str, Any]:
         "steps": steps,
     }
     del data["studs"]
+    for key in ("names", "kinds"):
+        if not data[key]:
+            del data[key]
     return data if record.studs is None else {**data, "studs": _plain(studs_data(record.studs))}
 
 
@@ -103,6 +111,7 @@ def record_from(data: Any) -> BuildRecord:
                 for after, cells, name, place in data["hands"]
             ),
             None if data.get("studs") is None else studs_from(data["studs"], count),
+            *(_words_from(data, key, len(objects)) for key in ("names", "kinds")),
         )
     except KeyError as error:
         raise InputError(where, f"no field {error}", f"every field of a {FORMAT} file") from None
@@ -110,6 +119,14 @@ def record_from(data: Any) -> BuildRecord:
         if isinstance(error, InputError):
             raise
         raise InputError(where, str(error), f"a {FORMAT} file") from None
+
+
+def _words_from(data: Mapping[str, Any], key: str, count: int) -> tuple[str, ...]:
+    """A word for every object, or none at all."""
+    found = tuple(map(str, data.get(key, ())))
+    if len(found) not in (0, count):
+        raise InputError(key, len(found), f"one for each of {count} objects")
+    return found
 
 
 def _hull_from(value: Any) -> Hull | None:

@@ -24,6 +24,7 @@ from learn2assemble.geometry.rotations import (
     quaternion_matrix,
 )
 from learn2assemble.motion.knots import REST, Knots, fit, slow_down
+from learn2assemble.motion.places import Pick, Place, name_of, step_numbers, supplied
 from learn2assemble.motion.record import (
     BuildRecord,
     ByHand,
@@ -67,6 +68,7 @@ class ProgramStep(NamedTuple):
     """An attempt to pick up an object and to put it down."""
 
     number: int
+    """What the plan calls it, see :func:`~.places.step_numbers`."""
     cells: tuple[int, ...]
     """Of the object, the grasped one first."""
     target: np.ndarray
@@ -83,6 +85,10 @@ class ProgramStep(NamedTuple):
     after: np.ndarray | None = None
     """float64[C, 7]: poses of all cells after the step, as in :class:`Blocks`; None where that was
     not told."""
+    plan_step: int | None = None
+    """The step of the plan that it carries out, or tries to."""
+    pick: Pick | None = None
+    """Where its block waits; None: at no place of :attr:`Program.places`."""
 
 
 class Supply(NamedTuple):
@@ -118,6 +124,14 @@ class Blocks(NamedTuple):
     studs: Studs | None = None
     """Joints that bricks make in the structure, in cells, none of them home; None: there are
     none."""
+    names: tuple[str, ...] = ()
+    """What the plan calls the block of each cell."""
+    kinds: tuple[str, ...] = ()
+    """Its kind, for each cell."""
+
+    def name(self, cell: int) -> str:
+        """What messages call the block of a cell."""
+        return self.names[cell] if self.names else f"block {cell}"
 
     @property
     def halves(self) -> np.ndarray:
@@ -168,6 +182,8 @@ class Program:
     """Largest factor by which the time of a motion was stretched."""
     hands: tuple[ByHand, ...] = ()
     """What is done by hand between the steps, while the robot waits."""
+    places: tuple[Place, ...] = ()
+    """Where its blocks are taken from; not told by a program that was read from a file."""
 
     @property
     def seconds(self) -> float:
@@ -251,7 +267,26 @@ def make_program(record: BuildRecord, arm: Arm) -> Program:
         stretch,
         record.hands,
     )
-    return _with_tool(program, record, arm, samples)
+    return _as_planned(_with_tool(program, record, arm, samples), record)
+
+
+def _as_planned(program: Program, record: BuildRecord) -> Program:
+    """The program with steps and blocks called as in the plan, and the places of its blocks."""
+    numbers, told = np.array(step_numbers(record)), supplied(record)
+    steps = tuple(
+        step._replace(number=number, plan_step=one.plan_step, pick=pick)
+        for step, one, number, pick in zip(
+            program.steps, record.steps, numbers.tolist(), told.picks, strict=True
+        )
+    )
+    blocks = program.blocks
+    if record.names:
+        cells = range(record.num_cells)
+        owner = {cell: k for k, one in enumerate(record.objects) for cell in one}
+        kinds = tuple(record.kinds[owner[k]] if record.kinds else "" for k in cells)
+        blocks = blocks._replace(names=tuple(name_of(record, k) for k in cells), kinds=kinds)
+    step = numbers[program.step - 1]
+    return replace(program, step=step, steps=steps, blocks=blocks, places=told.places)
 
 
 def _stopped(samples: Samples, number: np.ndarray, period: float) -> tuple[Samples, np.ndarray]:

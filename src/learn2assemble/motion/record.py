@@ -173,6 +173,10 @@ class BuildRecord:
     """What was done by hand, in its order."""
     studs: Studs | None = None
     """Joints of studs that bricks make in the structure, in cells; None: there are none."""
+    names: tuple[str, ...] = ()
+    """What the plan calls every object, obstacles ``""``; empty where that is not told."""
+    kinds: tuple[str, ...] = ()
+    """Kind of every object, as ``names``."""
 
     @property
     def num_cells(self) -> int:

@@ -33,6 +33,9 @@ BANKS = {"tool": 2, "standard": 8}
 ANALOG = 2
 """Analog inputs of each connector."""
 MOST_VOLTS, LONGEST_DWELL, WIDEST_START = 10.0, 10.0, 0.5
+FIRST_RUN = 0.25
+"""Share of the planned speed where nobody says another one."""
+SLOWEST_SHARE = 0.001
 FARTHEST_FRAME = 10.0
 """A base frame is no farther away along an axis [m]."""
 _KEYS = ("speed_factor", "output", "input", "dwell", "start_tolerance", "base_frame")
@@ -65,8 +68,9 @@ class HeldInput(NamedTuple):
 class ProgramSettings:
     """What stands at the top of a program for a controller."""
 
-    speed_factor: float = 1.0
-    """Above 0, up to 1: all speeds and accelerations are multiplied with it."""
+    speed_factor: float = FIRST_RUN
+    """Above 0, up to 1: all speeds and accelerations are multiplied with it; slow where nothing is
+    said, as for a first run."""
     output: ToolOutput = field(default_factory=ToolOutput)
     input: HeldInput = field(default_factory=HeldInput)
     dwell: float = 0.5
@@ -108,7 +112,7 @@ def parse_settings(value: Any, where: str) -> ProgramSettings:
     default = ProgramSettings()
     frame = given.get("base_frame")
     return ProgramSettings(
-        _between(given, "speed_factor", default.speed_factor, 0.001, 1.0, where),
+        _between(given, "speed_factor", default.speed_factor, SLOWEST_SHARE, 1.0, where),
         _output(given.get("output", {}), f"{where}.output"),
         _input(given.get("input", {}), f"{where}.input"),
         _between(given, "dwell", default.dwell, 0.0, LONGEST_DWELL, where),

@@ -45,6 +45,8 @@ class DryRun(NamedTuple):
     """How long the robot moved [s]."""
     fault: str = ""
     """What the arm ran into, or which brick was not pressed home, where that ended the run."""
+    names: tuple[str, ...] = ()
+    """What the block of each cell is called."""
 
     @property
     def same(self) -> bool:
@@ -78,7 +80,7 @@ def play(program: Program, arm: Arm) -> DryRun:
         if last > first:
             rows, scene, move = _order(blocks, poses, step, home)
             objects, state, names = rigid_objects(scene, poses[rows, 3:], move)
-            names = [f"block {rows[int(name.split()[-1])]}" for name in names]
+            names = [blocks.name(int(rows[int(name.split()[-1])])) for name in names]
             start = program.knots.at(np.array([first * TIMESTEP]))[0][0]
             target = int(objects.owner[move.cell])
             world = cell.world(objects, scene.studs)
@@ -104,7 +106,8 @@ def play(program: Program, arm: Arm) -> DryRun:
                 home -= {_cells(rows, pair) for pair in _pairs(scene.studs)}
                 home |= {_cells(rows, pair) for pair in clutch.home}
                 if step.reached and clutch.unmade and not fault:
-                    fault = f"step {step.number}: block {step.cells[0]} is loose on its studs"
+                    name = blocks.name(step.cells[0])
+                    fault = f"step {step.number}: {name} is loose on its studs"
             if fault:
                 break
             first = last
@@ -112,7 +115,8 @@ def play(program: Program, arm: Arm) -> DryRun:
             present = supply.pop(0)
             poses[list(present.cells)] = present.poses
     error = np.linalg.norm(poses[:, :3] - blocks.end[:, :3], axis=1)
-    return DryRun(poses, error, program.seconds, fault)
+    names = tuple(map(blocks.name, range(len(poses))))
+    return DryRun(poses, error, program.seconds, fault, names)
 
 
 class _Told(NamedTuple):

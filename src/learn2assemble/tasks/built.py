@@ -121,7 +121,14 @@ def plan_of(build: Built, agent: str, source: str, started: float) -> Plan:
     report = ArmReport(
         real.cell.arm.name, task.pitch, len(real.log.steps), failures, round(real.log.now, 2)
     )
-    return replace(plan, arm=report, records=(_renumbered(real.log.record(), list(known)),))
+    record = _renumbered(real.log.record(), list(known))
+    others = [""] * (len(record.objects) - len(blocks))
+    named = replace(
+        record,
+        names=(*(block.id for block in blocks), *others),
+        kinds=(*(block.kind for block in blocks), *others),
+    )
+    return replace(plan, arm=report, records=(named,))
 
 
 def _target(name: str, frame: np.ndarray, outline: np.ndarray) -> plans.PlanTarget:

@@ -26,6 +26,7 @@ from learn2assemble.viewer import scene, tables
 from learn2assemble.viewer.arm import NEAR_VIEW, arm_data, arm_section, arm_values, arms_words
 from learn2assemble.viewer.errors import error_section
 from learn2assemble.viewer.html import fact_list, speed_options, stand_alone
+from learn2assemble.viewer.places import place_section
 from learn2assemble.viewer.playback import Playback
 from learn2assemble.viewer.scene import Mark, ScenePart, cell_labels
 from learn2assemble.viewer.tables import StepNote
@@ -159,7 +160,8 @@ def render_assembly_page(
         if data["arm"]["truth"] is not None:
             words = "where a block really is, errors {} times as large"
             page["legend"] += tables.entry("truth", words.format(data["arm"]["truth"]["scale"]))
-        page["attempts"] = arm_section(playback, labels.names)
+        page["attempts"] = place_section(playback, told.origin)
+        page["attempts"] += arm_section(playback, labels.names)
         page["attempts"] += error_section(playback, labels.names)
         scripts = (*_SCRIPTS[:-1], "arm.js", _SCRIPTS[-1])
     return stand_alone(page, data, scripts, (_SHOW, _BLOCKS))

@@ -1,0 +1,406 @@
+"""What a person needs to run a program: where blocks lie, who refills, what things are called, and
+how fast it goes."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+from arm_record import arm_record
+from l2a_lab.shapes import wall
+from learn2assemble.cell.carry_out import Workcell, carry_out
+from learn2assemble.cli import main
+from learn2assemble.errors import InputError
+from learn2assemble.export.place_words import in_base, plain
+from learn2assemble.export.robot_programs import export_program, read_program, replay_program
+from learn2assemble.export.urscript import planned_frame, write_urscript
+from learn2assemble.motion.driver import arm_of
+from learn2assemble.motion.files import read_record, record_data, record_from
+from learn2assemble.motion.places import half_turn, ranges, step_numbers, supplied
+from learn2assemble.motion.program import Program, Supply, make_program
+from learn2assemble.motion.record import BuildRecord
+from learn2assemble.motion.settings import ProgramSettings
+from learn2assemble.planning.plan import Plan
+from learn2assemble.robot.arm import Arm
+from test_robot_programs import UrScript
+from test_workcell import planned
+
+
+@pytest.fixture(scope="module")
+def built() -> Plan:
+    """Six bricks of four kinds by the UR5e with its cup, out of magazines."""
+    plan = carry_out(planned(wall(7, 1, 3)), Workcell("ur5e", "suction"))
+    assert plan.complete, plan.reason
+    return plan
+
+
+@pytest.fixture(scope="module")
+def record(built: Plan) -> BuildRecord:
+    assert built.record is not None
+    return built.record
+
+
+@pytest.fixture(scope="module")
+def made(record: BuildRecord) -> tuple[Program, Arm]:
+    arm = arm_of(record.arm)
+    return make_program(record, arm), arm
+
+
+@pytest.fixture(scope="module")
+def folder(built: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("build")
+    built.save(out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def script(record: BuildRecord, tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("script")
+    return export_program(record, "urscript", path).file.read_text(encoding="utf-8")
+
+
+def about(script: str) -> str:
+    """The comments that a program begins with, in one line each."""
+    lines = script[: script.index("  global ")].splitlines()[1:]
+    assert all(re.match(r"  #( |$)", line) for line in lines)
+    return "\n".join(line[4:] for line in lines)
+
+
+# ---------------------------------------------------------------- where blocks lie
+
+
+def test_every_block_is_at_a_place(built: Plan, made: tuple[Program, Arm]) -> None:
+    program, _ = made
+    assert built.assembly is not None
+    blocks = {block.id: block for block in built.assembly.blocks}
+    found = [name for place in program.places for name in place.blocks]
+    assert sorted(found) == sorted(blocks)
+    assert len(program.places) > 1
+    for place in program.places:
+        for name, step in zip(place.blocks, place.steps, strict=True):
+            block, told = blocks[name], built.steps[step - 1]
+            assert built.assembly.blocks[told.block].id == name
+            assert block.kind == place.kind
+            assert np.allclose(sorted(np.ptp(block.vertices, axis=0)), sorted(place.size))
+            assert place.mass == pytest.approx(block.mass, rel=1e-3)
+            waits = built.blocks.waiting[told.block]
+            assert np.allclose(waits, place.centre, atol=1e-3)
+        assert place.refills == len(place.blocks) - place.at_start
+    assert [place.at_start for place in program.places].count(True) == 1
+
+
+def test_the_base_frame_is_that_of_the_controller(made: tuple[Program, Arm]) -> None:
+    program, arm = made
+    frame = planned_frame(arm)
+    assert np.allclose(frame[3:5], 0)
+    c, s = np.cos(frame[5]), np.sin(frame[5])
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    for place, base in zip(program.places, in_base(program, arm), strict=True):
+        assert np.allclose(base.centre, frame[:3] + turn @ place.centre, atol=1e-6)
+        assert half_turn(base.turn - frame[5] - place.turn) == pytest.approx(0, abs=1e-3)
+        # The cup comes down on the middle of the block.
+        assert base.tool is not None
+        top = base.centre + np.array([0, 0, place.size[2] / 2])
+        assert np.allclose(base.tool[:3], top, atol=2e-3)
+
+
+def test_a_person_can_prepare_from_the_beginning_of_a_script(
+    script: str, made: tuple[Program, Arm]
+) -> None:
+    program, arm = made
+    told = about(script)
+    assert script.isascii()
+    for title in ("Frames", "Tool", "Blocks", "Places", "Order", "Start", "Speed"):
+        assert re.search(rf"^{title}.*:$", told, re.M), title
+    assert "base in the world: x 0.0, y -500.0, z 0.0, turned by -90.0" in told
+    assert "middle of the design is at x -500.0, y 0.0, z 0.0" in told
+    # The three ways in which files say how the arm stands.
+    assert re.search(r"plan\.json, arm\.base, has 90\.0", told)
+    assert re.search(r"trajectory\.json, base_yaw, has 0\.0", told)
+    for place, base in zip(program.places, in_base(program, arm), strict=True):
+        size = " x ".join(f"{1000 * v:.1f}" for v in place.size)
+        assert re.search(rf"^  {place.kind} +{len(place.blocks)} +{size} +\d+ g$", told, re.M)
+        part = told[told.index(f"place {place.number}:") :]
+        x, y, z = np.round(1000 * base.centre, 1) + 0.0
+        assert f"in the base:  x {x:.1f}, y {y:.1f}, z {z:.1f}, turn" in part
+        x, y, z = np.round(1000 * place.centre, 1) + 0.0
+        assert f"in the world: x {x:.1f}, y {y:.1f}, z {z:.1f}, turn" in part
+    assert "one lies there at the start; REFILL" in told
+    assert "empty at the start; REFILL" in told
+    assert "l2a_factor = 0.25 of the planned speed" in told
+    assert "within 2.9" in told
+
+
+def test_places_move_with_a_taught_work_plane(
+    record: BuildRecord, made: tuple[Program, Arm], tmp_path: Path
+) -> None:
+    program, arm = made
+    frame = planned_frame(arm) + np.array([0.02, -0.01, 0.004, 0, 0, 0.02])
+    settings = ProgramSettings(base_frame=tuple(frame.tolist()))
+    done = export_program(record, "urscript", tmp_path, layout=settings)
+    told = about(done.file.read_text())
+    assert "(as taught: l2a_frame)" in told
+    assert "middle of the design is at x -480.0, y -10.0, z 4.0" in told
+    for place, row in zip(program.places, done.rows, strict=True):
+        c, s = np.cos(frame[5]), np.sin(frame[5])
+        x, y = frame[:2] + np.array([[c, -s], [s, c]]) @ place.centre[:2]
+        z = frame[2] + place.centre[2]
+        assert row[5] == ", ".join(f"{v:.1f}" for v in np.round(1000 * np.array([x, y, z]), 1))
+        assert f"in the base:  x {1000 * x:.1f}, y {1000 * y:.1f}, z {1000 * z:.1f}" in told
+
+
+def test_blocks_on_places_of_their_own_need_no_refill(tmp_path: Path) -> None:
+    record = arm_record("ur5e", 4, failures=False)
+    done = export_program(record, "urscript", tmp_path)
+    assert [place.refills for place in done.places] == [0] * len(record.steps)
+    text = done.file.read_text()
+    assert not [call for call, _, _ in UrScript(text).calls if call == "l2a_wait_for_block"]
+    assert "nothing to refill" in about(text)
+    assert "REFILL" not in text
+
+
+def test_a_block_that_was_tried_twice_is_one_block() -> None:
+    """It is taken from its place, falls, and is taken from where it lies."""
+    record = arm_record("ur5e", 6)
+    told = supplied(record)
+    blocks = [name for place in told.places for name in place.blocks]
+    assert len(blocks) == len(set(blocks)) == 5
+    tried = [k for k, pick in enumerate(told.picks) if pick is None]
+    assert {record.steps[k].outcome.label for k in tried} == {"unreachable", "reached"}
+
+
+def test_a_side_has_no_beginning() -> None:
+    assert half_turn(np.pi) == pytest.approx(0)
+    assert half_turn(-np.pi / 2) == pytest.approx(np.pi / 2)
+    assert half_turn(np.pi / 2) == pytest.approx(np.pi / 2)
+    assert ranges([1, 2, 3, 5, 6, 9]) == "1 to 3, 5, 6, 9"
+    assert plain('a "b"\nü #4') == "a 'b' ? No 4"
+
+
+# ---------------------------------------------------------------- who refills
+
+
+def steps_of(script: str) -> list[list[str]]:
+    """The lines of every step, its comment first."""
+    return [[line.strip() for line in part.splitlines()] for part in script.split("  # step ")[1:]]
+
+
+def test_the_program_asks_for_a_block_before_it_takes_it(
+    script: str, made: tuple[Program, Arm]
+) -> None:
+    program, _ = made
+    parsed = UrScript(script)
+    assert parsed.top["l2a_refill_by_hand"] == "True"
+    assert {"l2a_wait_for_block", "l2a_wait_until_taken"} <= set(parsed.defined)
+    waits = 0
+    for step, lines in zip(program.steps, steps_of(script), strict=True):
+        assert step.pick is not None
+        asked = [line for line in lines if line.startswith("l2a_wait_for_block(")]
+        assert len(asked) == step.pick.refill
+        if asked:
+            waits += 1
+            place = program.places[step.pick.place - 1]
+            assert asked[0].startswith(f'l2a_wait_for_block({place.number}, "{place.kind}", "step')
+            start = next(k for k, line in enumerate(lines) if line.startswith("l2a_start("))
+            assert lines.index(asked[0]) == start + 1
+            assert lines[start + 2].startswith("movej")
+    assert waits == len(program.steps) - 1 == sum(place.refills for place in program.places)
+    body = script[script.index("def l2a_wait_for_block") :]
+    assert "if (l2a_refill_by_hand):\n      popup(words" in body[: body.index("  end\n  end")]
+
+
+def test_a_feeder_is_not_asked(record: BuildRecord, script: str, tmp_path: Path) -> None:
+    text = export_program(record, "urscript", tmp_path, refill="feeder").file.read_text()
+    assert UrScript(text).top["l2a_refill_by_hand"] == "False"
+    assert "l2a_wait_for_block (as exported)" in about(text)
+    # Everything else is the same: what a feeder says can be waited for where a person is asked.
+    assert text.split("  # step ")[1:] == script.split("  # step ")[1:]
+
+
+def test_what_a_magazine_takes_back_is_taken_away(
+    made: tuple[Program, Arm], tmp_path: Path
+) -> None:
+    program, arm = made
+    gone = np.array([[0.0, -0.2, -0.1, 1.0, 0, 0, 0]])
+    for number in (1, len(program.steps)):
+        end = program.steps[number - 1].end
+        blocks = program.blocks._replace(supply=(Supply(end, (0,), gone),))
+        write_urscript(replace(program, blocks=blocks), arm, tmp_path / "back.script")
+        text = (tmp_path / "back.script").read_text()
+        UrScript(text)
+        found = [
+            k
+            for k, lines in enumerate(steps_of(text), 1)
+            if any(
+                line.startswith('l2a_wait_until_taken("block-1", "take block-1') for line in lines
+            )
+        ]
+        assert found == [min(number + 1, len(program.steps))]
+
+
+# ---------------------------------------------------------------- what things are called
+
+
+def test_steps_and_blocks_are_called_as_in_the_plan(
+    built: Plan, record: BuildRecord, script: str, folder: Path, tmp_path: Path
+) -> None:
+    assert built.assembly is not None
+    names = {s.step: built.assembly.blocks[s.block].id for s in built.steps}
+    kinds = {s.step: s.kind for s in built.steps}
+    assert set(names.values()) == {f"block-{k}" for k in range(1, len(names) + 1)}
+    heads = [lines[0] for lines in steps_of(script)]
+    for (step, name), head in zip(names.items(), heads, strict=True):
+        assert head.startswith(f"{step}: {name} ({kinds[step]}) from place ")
+    checks = {tuple(given) for call, given, _ in UrScript(script).calls if call == "l2a_check"}
+    assert checks == {(step, f'"{name}"') for step, name in names.items()}
+    table = export_program(record, "csv", tmp_path).file
+    lines = table.read_text().splitlines()
+    head = dict(line[2:].split(": ", 1) for line in lines if line.startswith("# "))
+    told = {one["step"]: one["block"] for one in json.loads(head["steps"])}
+    assert told == names
+    body = [line.split(",") for line in lines if not line.startswith("#")]
+    assert body[0][2:4] == ["step", "block"]
+    assert {(int(row[2]), row[3]) for row in body[1:]} == set(names.items())
+    places = json.loads(head["places"])
+    assert [one["blocks"] for one in places] == [list(p.blocks) for p in supplied(record).places]
+    assert {"centre", "turn", "tool"} == set(places[0]["base"])
+    with AnyReader([export_program(record, "ros2", tmp_path).file]) as bag:
+        wanted = [c for c in bag.connections if c.topic in ("/stage", "/check", "/program")]
+        said = {c.topic: set[str]() for c in wanted}
+        for connection, _, raw in bag.messages(wanted):
+            said[connection.topic].add(bag.deserialize(raw, connection.msgtype).data)
+    assert {f"step {step}, {name}: pick" for step, name in names.items()} <= said["/stage"]
+    assert said["/check"] == set(names.values())
+    assert json.loads(said["/program"].pop())["places"] == places
+    page = (folder / "view.html").read_text()
+    part = page[page.index('id="places-title"') : page.index('id="arm-title"')]
+    for place in supplied(record).places:
+        assert f"<td>{place.kind}</td>" in part
+        assert f"<td>{place.step_words}</td>" in part
+        assert f"<td>{place.refill_words}</td>" in part
+
+
+def test_a_read_program_calls_its_blocks_the_same(record: BuildRecord, tmp_path: Path) -> None:
+    for format in ("csv", "ros2"):
+        file = export_program(record, format, tmp_path).file
+        program, _ = read_program(file, "ur5e")
+        assert [program.blocks.name(cell) for cell in range(2)] == ["block-1", "block-2"]
+    done = replay_program(file, "ur5e")
+    assert done.same
+    assert done.names[0] == "block-1"
+    nameless = export_program(replace(record, names=(), kinds=()), "csv", tmp_path / "a.csv").file
+    assert read_program(nameless, "ur5e")[0].blocks.name(1) == "block 1"
+    damaged = nameless.with_name("b.csv")
+    damaged.write_text(nameless.read_text().replace('"start":', '"names": ["one"], "start":'))
+    with pytest.raises(InputError, match="1 words for"):
+        read_program(damaged, "ur5e")
+
+
+def test_steps_of_a_person_keep_their_numbers(record: BuildRecord, tmp_path: Path) -> None:
+    """A person sets something in step 2 of the plan: the steps of the arm are 1, 3, 4, ..."""
+    numbers = [1, *range(3, len(record.steps) + 2)]
+    pairs = list(zip(record.steps, numbers, strict=True))
+    moved = replace(record, steps=tuple(replace(s, plan_step=n) for s, n in pairs))
+    assert step_numbers(moved) == numbers
+    text = export_program(moved, "urscript", tmp_path, resume_from=3).file.read_text()
+    assert [int(lines[0].split(":")[0]) for lines in steps_of(text)] == numbers
+    with pytest.raises(InputError, match="resume_from"):
+        export_program(moved, "urscript", tmp_path, resume_from=2)
+    # Also a number that is set by hand to none of the steps of the arm begins with a check.
+    assert "if (not l2a_started):" in text
+    program = make_program(moved, arm_of(moved.arm))
+    assert set(program.step.tolist()) == set(numbers)
+
+
+def test_attempts_are_counted_where_some_failed(tmp_path: Path) -> None:
+    record = arm_record("ur5e", 4)
+    assert step_numbers(record) == [step.number for step in record.steps]
+    text = export_program(record, "urscript", tmp_path).file.read_text()
+    assert "Build again without failures" in about(text)
+    heads = [lines[0] for lines in steps_of(text)]
+    assert heads[2].startswith("3, an attempt at step 2 of the plan: block 2 from ")
+    assert heads[1].endswith("(failed in the build)")
+
+
+def test_a_record_keeps_what_its_blocks_are_called(
+    record: BuildRecord, script: str, folder: Path
+) -> None:
+    assert record.names[:2] == ("block-1", "block-2")
+    data = record_data(record)
+    again = record_from(json.loads(json.dumps(data)))
+    assert (again.names, again.kinds) == (record.names, record.kinds)
+    assert read_record(folder / "trajectory.json").names == record.names
+    # Files of before have no names: those of the assembly beside them are taken.
+    del data["names"], data["kinds"]
+    old = record_from(json.loads(json.dumps(data)))
+    assert (old.names, old.kinds) == ((), ())
+    with pytest.raises(InputError, match="one for each of"):
+        record_from({**json.loads(json.dumps(data)), "names": ["one"]})
+    with pytest.raises(InputError, match="not iterable"):
+        record_from({**json.loads(json.dumps(data)), "names": 1})
+    file = folder / "old" / "trajectory.json"
+    file.parent.mkdir()
+    file.write_text(json.dumps(data))
+    (file.parent / "assembly.json").write_text((folder / "assembly.json").read_text())
+    text = export_program(file, "urscript", file.parent).file.read_text()
+    assert [lines[0] for lines in steps_of(text)] == [lines[0] for lines in steps_of(script)]
+
+
+# ---------------------------------------------------------------- how fast it goes
+
+
+def test_a_first_run_is_slow(record: BuildRecord, tmp_path: Path) -> None:
+    layout = tmp_path / "cell.json"
+    head = {"format": "learn2assemble-layout", "version": 2}
+    layout.write_text(json.dumps({**head, "program": {"speed_factor": 0.4}}))
+    for given, factor in (
+        ({}, 0.25),
+        ({"layout": layout}, 0.4),
+        ({"speed": 1.0}, 1.0),
+        ({"layout": layout, "speed": 0.05}, 0.05),
+    ):
+        done = export_program(record, "urscript", tmp_path, **given)
+        assert done.speed == factor
+        text = done.file.read_text()
+        assert UrScript(text).top["l2a_factor"] == f"{factor:g}"
+        assert f"about {done.seconds / factor:.0f} s in all" in about(text)
+    # Motions themselves are told as planned: the factor is at one place.
+    assert export_program(record, "csv", tmp_path).seconds == done.seconds
+
+
+def test_what_is_asked_of_no_script_is_refused(record: BuildRecord, tmp_path: Path) -> None:
+    for given in ({"speed": 0.5}, {"refill": "hand"}):
+        with pytest.raises(InputError, match="the format urscript"):
+            export_program(record, "csv", tmp_path, **given)
+    for speed in (0, 1.5, float("nan"), True, "fast"):
+        with pytest.raises(InputError, match="speed"):
+            export_program(record, "urscript", tmp_path, speed=speed)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="did you mean 'feeder'"):
+        export_program(record, "urscript", tmp_path, refill="feader")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "gate.script"
+    call = ["export", str(folder), "--format", "urscript", "--out", str(file)]
+    assert main([*call, "--speed", "50%", "--refill", "feeder"]) == 0
+    said = capsys.readouterr()
+    assert "blocks are taken from" in said.out + said.err
+    assert "comments at the beginning of" in said.out + said.err
+    top = UrScript(file.read_text()).top
+    assert (top["l2a_factor"], top["l2a_refill_by_hand"]) == ("0.5", "False")
+    assert main([*call, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["speed"] == 0.25
+    assert [place["place"] for place in told["places"]] == [
+        str(k) for k in range(1, len(told["places"]) + 1)
+    ]
+    assert main([*call[:3], "csv", *call[4:], "--refill", "hand"]) == 2
+    assert main(["export", str(folder), "--format", "glb", "--speed", "0.5"]) == 2
+    assert "--speed" in capsys.readouterr().err
