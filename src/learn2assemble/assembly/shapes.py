@@ -127,7 +127,7 @@ class Shapes:
     def __init__(self, origin: np.ndarray, joint: float, named: Sequence[Named]) -> None:
         self.origin = origin
         self.joint = joint
-        told = dict[str, tuple[_Drawn, _Match]]()
+        told = dict[str, tuple[_KindShape, _Match]]()
         for members in _may_be_alike(named):
             self._tell(members, told)
         # Letters follow the blocks, whichever of them a shape is drawn by.
@@ -141,7 +141,7 @@ class Shapes:
             block: (letters[id(model)], match) for block, (model, match) in told.items()
         }
 
-    def _tell(self, members: list[list[Named]], told: dict[str, tuple[_Drawn, _Match]]) -> None:
+    def _tell(self, members: list[list[Named]], told: dict[str, tuple[_KindShape, _Match]]) -> None:
         """Find the shapes of blocks that may be alike.
 
         Args:
@@ -206,7 +206,7 @@ def _letter(number: int) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class _Drawn:
+class _KindShape:
     """A shape with its corners in the order of the block by which it is drawn."""
 
     shape: BlockShape
@@ -217,7 +217,7 @@ class _Drawn:
     """Which corner is the first of the shape."""
 
 
-def _model(named: Named, block: Block, turning: np.ndarray, joint_width: float) -> _Drawn:
+def _model(named: Named, block: Block, turning: np.ndarray, joint_width: float) -> _KindShape:
     """A shape without a letter.
 
     Args:
@@ -248,7 +248,7 @@ def _model(named: Named, block: Block, turning: np.ndarray, joint_width: float) 
         block.volume,
         block.mass,
     )
-    return _Drawn(shape, corners, block.faces, first)
+    return _KindShape(shape, corners, block.faces, first)
 
 
 class _Match(NamedTuple):
@@ -259,7 +259,7 @@ class _Match(NamedTuple):
     """Of a block that leans: its vertex at which the first corner of the shape lies."""
 
 
-def _turned(model: _Drawn, block: Block) -> _Match | None:
+def _turned(model: _KindShape, block: Block) -> _Match | None:
     """How a block is turned from a shape; None where it is another shape, such as its mirror image.
 
     Quarters come before other turns, and small turns before large ones.
@@ -290,7 +290,7 @@ def _apart(some: np.ndarray, others: np.ndarray) -> float:
     return float(max(there.max(), back.max()))
 
 
-def _alignments(model: _Drawn, block: Block) -> Iterator[tuple[int, np.ndarray]]:
+def _alignments(model: _KindShape, block: Block) -> Iterator[tuple[int, np.ndarray]]:
     """The ways to lay a shape on a block: where its first corner comes to lie, and the rotation."""
     corners, vertices, a = model.corners, block.vertices, model.first
     if model.faces == block.faces:
