@@ -192,24 +192,18 @@ def instructions(assembly: Assembly) -> Instructions:
     )
 
 
-def shapes_of(
-    assembly: Assembly,
-    origin: np.ndarray | None = None,
-    joint: float = 0.0,
-    coloured: bool = True,
-) -> Shapes:
+def shapes_of(assembly: Assembly, origin: np.ndarray | None = None, joint: float = 0.0) -> Shapes:
     """The shapes of all blocks, those that are not built after the others.
 
     Args:
         assembly: their letters are those of its instructions.
         origin: O, float64[3] [m, world]; the world's where places are not asked for.
         joint: width of vertical joints of a lattice [m].
-        coloured: whether blocks of two colours have two shapes, as on page and cards.
     """
     origin = np.zeros(3) if origin is None else origin
     left_out = set(assembly.not_built)
     pairs = zip(assembly.blocks, kinds_and_colours(assembly), strict=True)
-    named = [Named(block, kind, colour if coloured else "") for block, (kind, colour) in pairs]
+    named = [Named(block, kind, colour) for block, (kind, colour) in pairs]
     return Shapes(origin, joint, sorted(named, key=lambda one: one.block.id in left_out))
 
 

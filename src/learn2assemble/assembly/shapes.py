@@ -132,14 +132,17 @@ class Shapes:
             self._tell(members, told)
         # Letters follow the blocks, whichever of them a shape is drawn by.
         letters = dict[int, BlockShape]()
+        examples: list[tuple[_Model, Block]] = []
         for one in named:
             model, _ = told[one.block.id]
             if id(model) not in letters:
                 letters[id(model)] = replace(model.shape, letter=_letter(len(letters)))
+                examples.append((model, one.block))
         self.found: list[BlockShape] = list(letters.values())
         self._of: dict[str, tuple[BlockShape, _Match]] = {
             block: (letters[id(model)], match) for block, (model, match) in told.items()
         }
+        self._examples = examples
 
     def _tell(self, members: list[list[Named]], told: dict[str, tuple[_KindShape, _Match]]) -> None:
         """Find the shapes of blocks that may be alike.
@@ -165,6 +168,23 @@ class Shapes:
     def shape(self, block: Block) -> BlockShape:
         """The shape of one of the blocks."""
         return self._of[block.id][0]
+
+    def but_for_colour(self) -> dict[str, BlockShape]:
+        """Of the letter of every shape, the first shape that is the same but for its colour."""
+        found = dict[str, BlockShape]()
+        first: list[tuple[BlockShape, _Model]] = []
+        for shape, (model, block) in zip(self.found, self._examples, strict=True):
+            same = (
+                one
+                for one, other in first
+                if (one.kind, len(one.corners)) == (shape.kind, len(shape.corners))
+                and one.colour != shape.colour
+                and _turned(other, block) is not None
+            )
+            found[shape.letter] = next(same, shape)
+            if found[shape.letter] is shape:
+                first.append((shape, model))
+        return found
 
     def pose(self, block: Block) -> ToldPose:
         """How one of the blocks is told."""
@@ -265,9 +285,13 @@ def _turned(model: _KindShape, block: Block) -> _Match | None:
     Quarters come before other turns, and small turns before large ones.
     """
     points = block.vertices - block.vertices.min(0)
+    size = points.max(0)
     for turn in _QUARTERS:
         turned = model.corners @ rotation(turn).T
-        if _apart(turned - turned.min(0), points) <= _GRAIN:
+        turned = turned - turned.min(0)
+        # What is as near as that is as large; most turns are none by this.
+        alike = np.abs(turned.max(0) - size).max() <= 3 * _GRAIN
+        if alike and _apart(turned, points) <= _GRAIN:
             return _Match(turn, None)
     found = list[tuple[float, Turn, int | None]]()
     for first, turning in _alignments(model, block):

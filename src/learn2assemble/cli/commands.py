@@ -333,11 +333,12 @@ def _counted(plan: Plan) -> list[tuple[str, str, int]]:
     placed = [step for step in plan.steps if step.action == "place"]
     kinds = [(step.kind or "block", 0) for step in placed]
     if plan.assembly is not None and not all(step.kind for step in placed):
-        shapes, blocks = shapes_of(plan.assembly, coloured=False), plan.assembly.blocks
+        shapes, blocks = shapes_of(plan.assembly), plan.assembly.blocks
+        plain = shapes.but_for_colour()
         number = {shape.letter: k for k, shape in enumerate(shapes.found, 1)}
         for k, step in enumerate(placed):
             if not step.kind:
-                shape = shapes.shape(blocks[step.block])
+                shape = plain[shapes.shape(blocks[step.block]).letter]
                 kinds[k] = shape.kind, number[shape.letter]
         several = len({kind for kind in kinds if kind[1]})
         if several > _MOST_SHAPES:

@@ -45,7 +45,7 @@ def bill_of_blocks(assembly: Assembly) -> str:
     ``width_m``), its longest (``height_m``) and shortest upright edge, and the angles of the faces
     of its top from level.
     """
-    shapes = shapes_of(assembly, coloured=False)
+    shapes = shapes_of(assembly)
     entry = _entries(assembly, shapes)
     built = Counter(entry[b.id] for b in assembly.blocks if not b.prop and not b.support)
     peak: Counter[_Entry] = Counter()
@@ -63,9 +63,9 @@ def bill_of_blocks(assembly: Assembly) -> str:
         if not b.prop and not b.support and (b.id in ordered or not assembly.steps)
     )
     first = {entry[b.id]: b for b in reversed(assembly.blocks)}
-    lettered, letters = shapes_of(assembly), dict[_Entry, dict[str, None]]()
+    letters: dict[_Entry, set[str]] = {}
     for block in assembly.blocks:
-        letters.setdefault(entry[block.id], {})[lettered.shape(block).letter] = None
+        letters.setdefault(entry[block.id], set()).add(shapes.shape(block).letter)
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     head = (
@@ -259,9 +259,11 @@ def _entries(assembly: Assembly, shapes: Shapes) -> dict[str, _Entry]:
     """The line of the bill of every block; posts of one cut have one.
 
     Args:
-        shapes: of all blocks, colours apart.
+        shapes: of all blocks.
     """
-    number_of = {shape.letter: number for number, shape in enumerate(shapes.found)}
+    order = {shape.letter: number for number, shape in enumerate(shapes.found)}
+    plain = shapes.but_for_colour()
+    number_of = {letter: order[shape.letter] for letter, shape in plain.items()}
     cuts: list[Cut] = []
     found = dict[str, _Entry]()
     for block in assembly.blocks:
