@@ -14,7 +14,7 @@ import numpy as np
 
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
 from learn2assemble.motion.driver import driver_of
-from learn2assemble.motion.places import SupplyPlace, half_turn, ranges
+from learn2assemble.motion.places import PickPlace, half_turn, ranges
 from learn2assemble.motion.program import Program
 from learn2assemble.motion.settings import ProgramSettings
 from learn2assemble.robot.arm import Arm, get_arm
@@ -100,7 +100,7 @@ def places_data(program: Program, arm: Arm) -> list[dict[str, Any]]:
     ]
 
 
-def _refill_words(place: SupplyPlace) -> str:
+def _refill_words(place: PickPlace) -> str:
     """Who lays blocks at a place, and when."""
     if not place.refills:
         return "lies there from the start, nothing to refill"
@@ -220,7 +220,7 @@ def _kinds(program: Program) -> list[str]:
     return ["  ".join(f"{w:{n}}" for w, n in zip(row, wide, strict=True)).rstrip() for row in rows]
 
 
-def size_words(place: SupplyPlace) -> str:
+def size_words(place: PickPlace) -> str:
     """Long side, short side and height of a block as it lies [mm]."""
     return " x ".join(f"{1000 * v:.1f}" for v in place.size)
 

@@ -23,7 +23,7 @@ from learn2assemble.files import as_path, check_exists, check_output
 from learn2assemble.motion.driver import arm_of
 from learn2assemble.motion.files import read_record
 from learn2assemble.motion.knots import usage
-from learn2assemble.motion.places import SupplyPlace
+from learn2assemble.motion.places import PickPlace
 from learn2assemble.motion.program import Program, make_program
 from learn2assemble.motion.record import BuildRecord
 from learn2assemble.motion.settings import SLOWEST_SHARE, ProgramSettings, read_settings
@@ -71,7 +71,7 @@ class Exported(NamedTuple):
     """Largest factor by which the time of a motion was stretched to stay within the limits."""
     used: dict[str, float]
     """Largest share of the limits of velocity, acceleration and jerk, anywhere in the motion."""
-    places: tuple[SupplyPlace, ...] = ()
+    places: tuple[PickPlace, ...] = ()
     """Where blocks are taken from."""
     speed: float = 1.0
     """Share of the planned speed at which the program begins; ``seconds`` are of all of it."""

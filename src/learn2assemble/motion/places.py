@@ -31,7 +31,7 @@ class Pick(NamedTuple):
     """The block comes there after the program has begun: someone has to lay it there first."""
 
 
-class SupplyPlace(NamedTuple):
+class PickPlace(NamedTuple):
     """Where blocks of a kind are taken from, one after the other."""
 
     number: int
@@ -79,7 +79,7 @@ class SupplyPlace(NamedTuple):
 class Supplied(NamedTuple):
     """What a build needs besides its arm."""
 
-    places: tuple[SupplyPlace, ...]
+    places: tuple[PickPlace, ...]
     picks: tuple[Pick | None, ...]
     """One for each step of the record; None: the step takes nothing from a place."""
 
@@ -116,7 +116,7 @@ def supplied(record: BuildRecord) -> Supplied:
     What stands or lies somewhere because the arm has put it there is at no place, until a magazine
     has taken it back and presents it again.
     """
-    numbers, places = step_numbers(record), list[SupplyPlace]()
+    numbers, places = step_numbers(record), list[PickPlace]()
     picks, first = list[Pick | None](), [cells[0] for cells in record.objects]
     owner = {cell: k for k, cells in enumerate(record.objects) for cell in cells}
     moved, hidden = np.zeros(len(first), bool), np.zeros(len(first), bool)
@@ -140,7 +140,7 @@ def supplied(record: BuildRecord) -> Supplied:
     return Supplied(tuple(places), tuple(picks))
 
 
-def _lying(record: BuildRecord, number: int, step: StepRecord) -> SupplyPlace:
+def _lying(record: BuildRecord, number: int, step: StepRecord) -> PickPlace:
     """A place with one block, where a step finds it.
 
     Args:
@@ -151,7 +151,7 @@ def _lying(record: BuildRecord, number: int, step: StepRecord) -> SupplyPlace:
     boxes = record.hull is None or all(record.hull[cell] is None for cell in cells)
     size, centre, turn = _box(points)
     kind = record.kinds[number] if record.kinds else ""
-    return SupplyPlace(
+    return PickPlace(
         0,
         kind,
         size,
@@ -166,7 +166,7 @@ def _lying(record: BuildRecord, number: int, step: StepRecord) -> SupplyPlace:
     )
 
 
-def _listed(places: list[SupplyPlace], here: SupplyPlace, number: int, refill: bool) -> int:
+def _listed(places: list[PickPlace], here: PickPlace, number: int, refill: bool) -> int:
     """The number of the place of a block, which is added to the list of its blocks.
 
     Args:

@@ -24,7 +24,7 @@ from learn2assemble.geometry.rotations import (
     quaternion_matrix,
 )
 from learn2assemble.motion.knots import REST, Knots, fit, slow_down
-from learn2assemble.motion.places import Pick, SupplyPlace, name_of, step_numbers, supplied
+from learn2assemble.motion.places import Pick, PickPlace, name_of, step_numbers, supplied
 from learn2assemble.motion.record import (
     BuildRecord,
     ByHand,
@@ -182,7 +182,7 @@ class Program:
     """Largest factor by which the time of a motion was stretched."""
     hands: tuple[ByHand, ...] = ()
     """What is done by hand between the steps, while the robot waits."""
-    places: tuple[SupplyPlace, ...] = ()
+    places: tuple[PickPlace, ...] = ()
     """Where its blocks are taken from; not told by a program that was read from a file."""
 
     @property

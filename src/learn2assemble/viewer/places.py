@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 
 from learn2assemble.assembly.instruction_words import extent_words, length_words
-from learn2assemble.motion.places import SupplyPlace, supplied
+from learn2assemble.motion.places import PickPlace, supplied
 from learn2assemble.viewer.html import NUMBER, row
 from learn2assemble.viewer.playback import Playback
 
@@ -69,7 +69,7 @@ def place_section(playback: Playback, origin: np.ndarray) -> str:
     )
 
 
-def _cells(place: SupplyPlace) -> list[str]:
+def _cells(place: PickPlace) -> list[str]:
     shown = np.round(1000 * place.centre, 1) + 0.0
     return [
         str(place.number),
