@@ -132,7 +132,7 @@ class Shapes:
             self._tell(members, told)
         # Letters follow the blocks, whichever of them a shape is drawn by.
         letters = dict[int, BlockShape]()
-        examples: list[tuple[_Model, Block]] = []
+        examples: list[tuple[_KindShape, Block]] = []
         for one in named:
             model, _ = told[one.block.id]
             if id(model) not in letters:
@@ -172,7 +172,7 @@ class Shapes:
     def but_for_colour(self) -> dict[str, BlockShape]:
         """Of the letter of every shape, the first shape that is the same but for its colour."""
         found = dict[str, BlockShape]()
-        first: list[tuple[BlockShape, _Model]] = []
+        first: list[tuple[BlockShape, _KindShape]] = []
         for shape, (model, block) in zip(self.found, self._examples, strict=True):
             same = (
                 one
