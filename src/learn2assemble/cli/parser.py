@@ -233,6 +233,13 @@ def reading_of(options: argparse.Namespace) -> dict[str, Any]:
     return {name: value for name, value in given.items() if value is not None}
 
 
+def overwrite_argument(parser: Any) -> None:
+    """Add ``--overwrite`` for files that are made again and again, see
+    :func:`~learn2assemble.files.check_new`."""
+    words = "replace the file that is there; what the command reads is never replaced"
+    parser.add_argument("--overwrite", action="store_true", help=words)
+
+
 def arm_argument(parser: argparse.ArgumentParser) -> None:
     """Add ``--arm`` for tasks with a robot."""
     names = ", ".join(ARMS)

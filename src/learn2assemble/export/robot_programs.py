@@ -16,7 +16,7 @@ from learn2assemble.export.formats import file_at
 from learn2assemble.export.robot_tables import read_table, write_franka, write_table
 from learn2assemble.export.ros2 import is_bag, read_bag, write_bag
 from learn2assemble.export.urscript import write_urscript
-from learn2assemble.files import as_path, check_exists, check_output
+from learn2assemble.files import as_path, check_exists, check_new
 from learn2assemble.motion.driver import arm_of
 from learn2assemble.motion.files import read_record
 from learn2assemble.motion.knots import usage
@@ -63,6 +63,7 @@ def export_program(
     *,
     layout: ProgramSettings | str | Path | None = None,
     resume_from: int | None = None,
+    overwrite: bool = False,
 ) -> Exported:
     """Write the program of a robot that repeats a build.
 
@@ -70,23 +71,24 @@ def export_program(
         source: what ``l2a build --arm`` has written: its folder or its ``trajectory.json``; or
             the record of a plan, ``plan.record``.
         format: ``csv``, ``franka``, ``ros2`` or ``urscript``.
-        path: the file, or a folder that gets a file of the usual name; a table whose name ends in
-            ``.gz`` is packed.
+        path: a new file, or a folder that gets a file of the usual name; a table whose name ends
+            in ``.gz`` is packed.
         layout: of ``urscript``: a layout file, whose section ``program`` says what stands at the
             top of the program (``docs/layouts.md``), or these settings; by default their defaults.
         resume_from: of ``urscript``: number of the first step that the program carries out when
             it is run; by default its first one.
+        overwrite: ``path`` may also be a file that is there, but none that is read.
 
     Raises:
         UnknownNameError: naming the nearest format.
         InputError: for a layout or step that cannot be used or is not for the format, a record
-            that cannot be used, an arm the format is not for, and a file that cannot be written;
-            an old one is left as it was then.
+            that cannot be used, an arm the format is not for, and a file that is there already or
+            cannot be written; an old one is left as it was then.
         MissingExtraError: for ``ros2`` without the extra ``ros2``.
     """
     name, write = PROGRAMS[format]
     file = file_at(path, name)
-    check_output(file, "program")  # Before anything is read.
+    check_new(file, "program", source, layout, overwrite=overwrite)  # Before anything is read.
     options: dict[str, Any] = {}
     for word, given in (("layout", layout), ("resume_from", resume_from)):
         if given is not None and format != "urscript":
