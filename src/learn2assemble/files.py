@@ -120,8 +120,13 @@ def nearest(path: Path) -> str:
         names = sorted(item.name for item in path.parent.iterdir() if item.exists())
     except (OSError, ValueError):  # No such folder, or one that must not be read.
         return ""
-    alike = [name for name in names if path.stem and Path(name).stem == path.stem]
-    near = difflib.get_close_matches(path.name, alike or names, n=1, cutoff=0.0 if alike else 0.6)
+    # By the name alone: files of one kind have their ending in common, whatever they are.
+    like = set(
+        difflib.get_close_matches(path.stem, [Path(name).stem for name in names], cutoff=0.6)
+    )
+    same = like & {path.stem} or like
+    alike = [name for name in names if Path(name).stem in same]
+    near = difflib.get_close_matches(path.name, alike, n=1, cutoff=0.0)
     return f"; did you mean {printable(str(path.with_name(near[0])))!r}?" if near else ""
 
 

@@ -34,7 +34,7 @@ PICTURES = Path("results/curves")
 """Where curves are drawn, and drawn anew; in another folder they are new files."""
 
 
-def register_command(commands: Registry[Command]) -> None:
+def register_laboratory_command(commands: Registry[Command]) -> None:
     """Add the commands of the laboratory; all of them play or judge what was learned."""
     for name, command in {**_COMMANDS, **BUILDERS}.items():
         commands.register(name, dataclasses.replace(command, learns=True))

@@ -143,7 +143,7 @@ def calibrate(
     if out is None:
         check_output(target, "layout")
     else:
-        check_new(target, "out", layout, readings)
+        check_new(target, "layout", layout, readings)
     site = read_site(layout)
     if site.base is None:
         raise InputError(f"{site.source}: base", "none", "where the base is taken to be")

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from learn2assemble.errors import InputError
-from learn2assemble.files import MAX_GENERATED, as_path, read_json, write_file
+from learn2assemble.files import MAX_GENERATED, as_path, load_json, read_text, write_file
 from learn2assemble.planning.reports import ArmReport, BuilderArm, RebuildReport
 from learn2assemble.registry import Registry
 from learn2assemble.values import Range, from_plain, integer, mapping, to_plain
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from learn2assemble.motion.record import BuildRecord
 
 FORMAT, VERSION = "learn2assemble-plan", 3
+KIND = "plan.json or its folder"
 Metre = Annotated[float, Range(-1e3, 1e3)]
 Seconds = Annotated[float, Range(0, 1e9)]
 Share = Annotated[float, Range(-100, 1.001)]
@@ -369,7 +370,10 @@ class Plan:
         """
         file = as_path(path, "plan")
         file = file / "plan.json" if file.is_dir() else file
-        plan = cls.from_dict(*read_json(file, "plan.json or its folder", MAX_GENERATED))
+        text, source = read_text(file, KIND, MAX_GENERATED)
+        if text.strip() and text.lstrip()[0] != "{":
+            raise InputError(source, "a file of another kind", KIND)
+        plan = cls.from_dict(load_json(text, source, KIND), source)
         names = trajectory_names(max(len(plan.arms), 1))
         motions = [file.with_name(f"{name}.json") for name in names]
         if all(motion.exists() for motion in motions):
