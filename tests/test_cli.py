@@ -20,7 +20,7 @@ from bad_calls import BAD, TASK, TINY_RUN, BadCall, prepare
 from l2a_lab.__main__ import command_line
 from learn2assemble import __version__
 from learn2assemble.cli import main, output
-from learn2assemble.cli.parser import COMMANDS, make_parser
+from learn2assemble.cli.parser import COMMANDS, L2A, LABORATORY, CommandLine, make_parser
 from learn2assemble.tasks.evaluation.episodes import search_config
 from learn2assemble.tasks.networks.agent import Agent, agent_files, load_agent, save_agent
 from learn2assemble.tasks.networks.config import NetworkConfig
@@ -52,8 +52,16 @@ class Result(NamedTuple):
         return value
 
 
+PROGRAMS = {"l2a": L2A, "l2a-lab": command_line()}
+
+
+def program_of(*words: object) -> CommandLine:
+    """That whose command the first word is: ``l2a``, but for those of the laboratory."""
+    return PROGRAMS["l2a-lab" if words and words[0] in LABORATORY else "l2a"]
+
+
 class Call:
-    """Runs ``l2a`` in this process."""
+    """Runs ``l2a``, or ``l2a-lab`` for a command of the laboratory, in this process."""
 
     def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
         self.capsys = capsys
@@ -61,7 +69,7 @@ class Call:
     def __call__(self, *words: object) -> Result:
         self.capsys.readouterr()
         try:
-            code: Any = main([str(word) for word in words])
+            code: Any = main([str(word) for word in words], program_of(*words))
         except SystemExit as leave:
             code = leave.code
         captured = self.capsys.readouterr()
@@ -119,12 +127,7 @@ def fingerprint(folder: Path) -> dict[str, str]:
 # Help and versions.
 
 
-def program_of(command: str) -> str:
-    """The program whose command it is, though ``l2a`` takes it, too."""
-    return "l2a-lab" if command in command_line().commands else "l2a"
-
-
-@pytest.mark.parametrize("command", [None, *COMMANDS])
+@pytest.mark.parametrize("command", [None, *COMMANDS, *LABORATORY])
 def test_help_shows_an_example(l2a: Call, command: str | None) -> None:
     result = l2a(*([command] if command else []), "--help")
     assert result.code == 0
@@ -134,17 +137,19 @@ def test_help_shows_an_example(l2a: Call, command: str | None) -> None:
     if command is None:
         for name in COMMANDS:
             assert name in text
+        for name in LABORATORY:  # Those have a program of their own.
+            assert f" {name} " not in text
     else:
-        assert f"example: {program_of(command)} {command}" in text
+        assert f"example: {program_of(command).name} {command}" in text
         assert "--json" in text
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", [*COMMANDS, *LABORATORY])
 def test_examples_of_the_help_can_be_parsed(command: str, l2a: Call) -> None:
     """The words of every example are accepted, and the files they name are in the repository."""
     text = " ".join(l2a(command, "--help").out.split())
-    words = text.split(f"example: {program_of(command)} ", 1)[1].split()
-    options = make_parser().parse_args(words)
+    words = text.split(f"example: {program_of(command).name} ", 1)[1].split()
+    options = make_parser((), program_of(command)).parse_args(words)
     for file in [getattr(options, "design", None), *getattr(options, "files", [])]:
         assert file is None or (ROOT / file).is_file()
     assert getattr(options, "task", TASK) in PRESETS
@@ -547,7 +552,7 @@ def test_a_reader_that_leaves_is_no_error() -> None:
 
 def test_list_of_bad_calls_covers_every_command() -> None:
     assert len({call.name for call in BAD}) == len(BAD) >= 40
-    assert {call.words[0] for call in BAD if call.words} >= set(COMMANDS)
+    assert {call.words[0] for call in BAD if call.words} >= {*COMMANDS, *LABORATORY}
 
 
 @pytest.fixture(scope="session")
@@ -557,6 +562,23 @@ def stage(tmp_path_factory: pytest.TempPathFactory, agent: Path, run: Path, data
     log = data / "transitions_sample.jsonl"
     prepare(folder, agent, run, DESIGNS / "stepped_tower.json", log)
     return folder
+
+
+def test_commands_of_the_laboratory_are_not_those_of_the_product(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Who asks the one program for a command of the other is told where it is."""
+    assert not set(COMMANDS) & set(LABORATORY)
+    for words, said in (
+        (["table", "T2"], "l2a-lab table, or python -m l2a_lab table"),
+        (["buld", "gate.svg"], "l2a: error: command: got 'buld', did you mean 'build'?"),
+        (["xyzzy"], "l2a: error: command: got 'xyzzy', which there is not"),
+    ):
+        with pytest.raises(SystemExit):
+            main(words)
+        (line,) = capsys.readouterr().err.splitlines()
+        assert said in line
+        assert len(line) < 160
 
 
 @pytest.mark.parametrize("call", [pytest.param(call, id=call.name) for call in BAD])

@@ -17,7 +17,7 @@ import pytest
 import learn2assemble as l2a
 from l2a_lab.__main__ import command_line
 from learn2assemble.cli import main
-from learn2assemble.cli.parser import COMMANDS
+from learn2assemble.cli.parser import COMMANDS, L2A, LABORATORY
 from learn2assemble.errors import MissingExtraError, require
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -187,7 +187,8 @@ def product(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 def test_what_learns_names_the_extra(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(words) == 2
+    program = command_line() if words[0] in LABORATORY else L2A
+    assert main(words, program) == 2
     told = capsys.readouterr()
     assert told.out == ""
     assert told.err.count("\n") == 1
@@ -196,17 +197,18 @@ def test_what_learns_names_the_extra(
 
 
 def test_the_list_of_what_learns_is_complete() -> None:
-    assert {name for name, command in COMMANDS.items() if command.learns} == set(LEARNS)
+    known = {**COMMANDS, **LABORATORY}
+    assert {name for name, command in known.items() if command.learns} == set(LEARNS)
 
 
 @pytest.mark.usefixtures("product")
 def test_the_help_needs_no_extra(capsys: pytest.CaptureFixture[str]) -> None:
-    for name in COMMANDS:
-        with pytest.raises(SystemExit) as left:
-            main([name, "--help"])
-        assert left.value.code == 0
-        program = "l2a-lab" if name in command_line().commands else "l2a"
-        assert f"example: {program} {name}" in capsys.readouterr().out
+    for program in (L2A, command_line()):
+        for name in program.commands:
+            with pytest.raises(SystemExit) as left:
+                main([name, "--help"], program)
+            assert left.value.code == 0
+            assert f"example: {program.name} {name}" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("product")

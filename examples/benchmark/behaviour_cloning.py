@@ -10,14 +10,17 @@ stand is not known to it.
 
 import os
 import sys
+from pathlib import Path
 
 import numpy as np
 import torch
 from torch import nn
 
 from learn2assemble.envs.submission import board, enter
+from learn2assemble.files import check_new
 
 folder, file = sys.argv[1:3]
+check_new(Path(file), "FILE")  # Before the training.
 epochs = int(sys.argv[3]) if len(sys.argv) > 3 else 8
 problems = int(sys.argv[4]) if len(sys.argv) > 4 else 20
 TASK = "two-sided-3x3-20-24"

@@ -8,6 +8,7 @@ several seeds are runs of one entry; a line of the curve is printed every 2,048 
 """
 
 import sys
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -17,6 +18,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 import learn2assemble.envs
 from learn2assemble.envs.submission import board, enter
+from learn2assemble.files import check_new
 
 TASK, PROBLEMS = "two-sided-3x3-20-24", 20
 gymnasium.register_envs(learn2assemble.envs)
@@ -74,6 +76,7 @@ class Learned:
 
 
 file, *given = sys.argv[1:]
+check_new(Path(file), "FILE")  # Before hours of training.
 steps, seeds = (*map(int, given), *(10_000, 1)[len(given) :])
 policies = [Learned(seed, steps) for seed in range(seeds)]
 entry = enter(policies, f"MaskablePPO ({steps} steps)", tasks=[TASK], problems=PROBLEMS)

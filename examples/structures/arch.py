@@ -37,7 +37,7 @@ def main() -> None:
     count = int(sys.argv[2]) if len(sys.argv) > 2 else 9
     assembly = arch(count) if count < 15 else arch(count, 0.5, 0.14)
     out.mkdir(parents=True, exist_ok=True)
-    l2a.write_assembly(assembly, out / f"{assembly.name}.json")
+    l2a.write_assembly(assembly, out / f"{assembly.name}.json", overwrite=True)
     print(assembly.name, l2a.check(assembly).verdict)
     plan = l2a.build(assembly, progress=print)
     print(plan.status, plan.reason or "")

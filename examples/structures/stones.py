@@ -212,7 +212,7 @@ def main() -> None:
     count = int(sys.argv[3]) if len(sys.argv) > 3 else 20
     assembly = stones(count, seed, laid=True)
     out.mkdir(parents=True, exist_ok=True)
-    l2a.write_assembly(assembly, out / f"{assembly.name}.json")
+    l2a.write_assembly(assembly, out / f"{assembly.name}.json", overwrite=True)
     print(assembly.name, l2a.check(assembly).verdict)
     plan = l2a.build(assembly, progress=print)
     print(plan.status, plan.reason or "")

@@ -83,7 +83,7 @@ def main() -> None:
     out = Path(sys.argv[1] if len(sys.argv) > 1 else "out/turned_wall")
     assembly = turned_wall(int(sys.argv[2]) if len(sys.argv) > 2 else 64)
     out.mkdir(parents=True, exist_ok=True)
-    l2a.write_assembly(assembly, out / f"{assembly.name}.json")
+    l2a.write_assembly(assembly, out / f"{assembly.name}.json", overwrite=True)
     print(assembly.name, l2a.check(assembly).verdict)
     plan = l2a.build(assembly, progress=print)
     print(plan.status, plan.reason or "")

@@ -92,7 +92,7 @@ def main() -> None:
     for assembly in (barrel_vault(), cross_vault()):
         folder = out / assembly.name
         folder.mkdir(parents=True, exist_ok=True)
-        l2a.write_assembly(assembly, folder / f"{assembly.name}.json")
+        l2a.write_assembly(assembly, folder / f"{assembly.name}.json", overwrite=True)
         print(assembly.name, l2a.check(assembly).verdict)
         plan = l2a.build(assembly, progress=print)
         print(plan.status, plan.reason or "")

@@ -16,6 +16,7 @@ import learn2assemble as l2a
 from l2a_lab import builds, creep, hidden, sensing, shapes, speed, two_arms_bricks
 from l2a_lab import designs as design_figures
 from l2a_lab import structures as figures
+from l2a_lab.__main__ import command_line
 from l2a_lab.arm_distances import MOMENTS
 from l2a_lab.measured import measure
 from l2a_lab.meshes import MESHES, mesh_table
@@ -45,7 +46,7 @@ def test_entries_are_measured_once_and_kept(
 ) -> None:
     out = tmp_path / "structures.json"
     call = ["measure-structures", "--out", str(out), "--only", "arch, 9 voussoirs"]
-    assert main([*call, "--json"]) == 0
+    assert main([*call, "--json"], command_line()) == 0
     rows = {what: got for what, _, got in json.loads(capsys.readouterr().out)["rows"]}
     assert "complete, 2 posts and 0 held" in rows["arch, 9 voussoirs"]
     assert "complete, 0 posts and 2 held" in rows["arch, 9 voussoirs, one hold"]
@@ -128,7 +129,7 @@ def test_designs_are_measured_once_and_kept(
 ) -> None:
     out = tmp_path / "designs.json"
     call = ["measure-designs", "--out", str(out), "--only", "/arch-4"]
-    assert main([*call, "--json"]) == 0
+    assert main([*call, "--json"], command_line()) == 0
     rows = {what: got for what, _, got in json.loads(capsys.readouterr().out)["rows"]}
     assert rows["shapes built"] == "1 of 1; not: none"
     assert rows["limited heap"] == "1 of 1"

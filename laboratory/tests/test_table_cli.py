@@ -13,6 +13,7 @@ import pytest
 import torch
 
 from l2a_lab import curves as curves_module
+from l2a_lab.__main__ import command_line
 from l2a_lab.curves import (
     FIGURES,
     decision_time,
@@ -66,7 +67,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 def l2a(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[dict[str, Any], str]:
     """The JSON result and standard error of a call that succeeds."""
     capsys.readouterr()
-    assert main([*map(str, words), "--json"]) == 0
+    assert main([*map(str, words), "--json"], command_line()) == 0
     captured = capsys.readouterr()
     return json.loads(captured.out), captured.err
 

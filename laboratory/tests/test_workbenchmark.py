@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from l2a_lab.__main__ import command_line
 from l2a_lab.press_orders import MOST_BRICKS, press_orders
 from l2a_lab.workbenchmark import LAYER, MIDDLE, Brick, Task, play, product_of, read_tasks, site_of
 from learn2assemble.assembly.blocks import Assembly
@@ -85,14 +86,14 @@ def test_bricks_that_wait_only_roughly_where_they_should_are_seen(tmp_path: Path
 def test_the_command_prints_the_shares(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file, out = write(tmp_path / "t.gz", STAIR), tmp_path / "out.json"
     command = ["workbenchmark", "--tasks", str(file), "--out", str(out), "--json"]
-    assert main(command) == 0
+    assert main(command, command_line()) == 0
     last = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert last["success"] == {"2": 1.0}
     assert last["tasks"] == 1
     assert last["state"] == "known"
     assert json.loads(out.read_text())["configuration"]["physics"] == "kinematic"
-    assert main([*command, "--resume", "--only", "2"]) == 0
-    assert main([*command, "--only", "5"]) == 2
+    assert main([*command, "--resume", "--only", "2"], command_line()) == 0
+    assert main([*command, "--only", "5"], command_line()) == 2
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, cast
 
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, Remedy
 from learn2assemble.values import mapping, number
 
 MAX_BYTES = 1_000_000
@@ -120,8 +120,13 @@ def nearest(path: Path) -> str:
         names = sorted(item.name for item in path.parent.iterdir() if item.exists())
     except (OSError, ValueError):  # No such folder, or one that must not be read.
         return ""
-    alike = [name for name in names if path.stem and Path(name).stem == path.stem]
-    near = difflib.get_close_matches(path.name, alike or names, n=1, cutoff=0.0 if alike else 0.6)
+    # By the name alone: files of one kind have their ending in common, whatever they are.
+    like = set(
+        difflib.get_close_matches(path.stem, [Path(name).stem for name in names], cutoff=0.6)
+    )
+    same = like & {path.stem} or like
+    alike = [name for name in names if Path(name).stem in same]
+    near = difflib.get_close_matches(path.name, alike, n=1, cutoff=0.0)
     return f"; did you mean {printable(str(path.with_name(near[0])))!r}?" if near else ""
 
 
@@ -296,6 +301,42 @@ def check_output(path: Path, what: str) -> None:
         _beside(path).unlink()  # Rights alone do not say: the folder may take no files at all.
     except OSError as error:
         raise unwritable(what, path, error) from None
+
+
+def check_new(path: Path, what: str, *inputs: object, overwrite: bool | None = None) -> None:
+    """The rule for every file whose name a caller gives: nothing is there yet.
+
+    Args:
+        path, what: see :func:`check_output`.
+        inputs: what the same call reads; of these, names of files and folders are never replaced.
+        overwrite: whether another file is; None where the caller has no argument of that name.
+
+    Raises:
+        InputError: for a file that is there, and what :func:`check_output` refuses.
+    """
+    name = printable(str(path))
+    if any(isinstance(one, str | Path) and _reads(Path(one), path) for one in inputs):
+        raise InputError(what, name, "a new file, not one that the same call reads")
+    if not overwrite and os.path.lexists(path) and not_plain(path) is None:
+        remedies = () if overwrite is None else (Remedy("overwrite", True, "replaces it"),)
+        raise InputError(what, name, "a new file", *remedies)
+    check_output(path, what)
+
+
+def _reads(given: Path, path: Path) -> bool:
+    """Whether who is given a file or folder to read reads the file ``path``: of a plan all parts,
+    of another folder whatever is in it."""
+    try:
+        if path.samefile(given):
+            return True
+        folder = given if given.is_dir() else given.parent
+        if not path.parent.samefile(folder):
+            return False
+        if (folder / "plan.json").is_file():
+            return path.name in ("plan.json", "assembly.json") or path.match("trajectory*.json")
+        return given.is_dir()
+    except (OSError, ValueError):  # One of them is not there.
+        return False
 
 
 def _beside(path: Path) -> Path:

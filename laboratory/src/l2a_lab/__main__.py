@@ -10,15 +10,11 @@ if TYPE_CHECKING:
 
 
 def command_line() -> CommandLine:
-    """The program with its commands; a checkout has them in ``l2a``, too."""
-    from l2a_lab.commands import register_command
-    from learn2assemble.cli.parser import Command, CommandLine
-    from learn2assemble.registry import Registry
+    """The program with its commands."""
+    from learn2assemble.cli.parser import LABORATORY, CommandLine
 
-    commands: Registry[Command] = Registry("laboratory command", {})
-    register_command(commands)
     about = "Measure learn2assemble, and remake its tables and agents."
-    return CommandLine("l2a-lab", about, "l2a-lab table T2", commands)
+    return CommandLine("l2a-lab", about, "l2a-lab table T2", LABORATORY)
 
 
 def run() -> int:

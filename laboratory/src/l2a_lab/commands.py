@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from l2a_lab.builder.commands import COMMANDS as BUILDERS
 from l2a_lab.runs import RUNS, keep_runs, runs_in, trained_agent
 from l2a_lab.table_command import prepare, run_table, table_arguments
-from learn2assemble.cli.output import check_new_file, write_result
+from learn2assemble.cli.output import write_result
 from learn2assemble.cli.parser import (
     Command,
     arm_argument,
@@ -22,7 +22,7 @@ from learn2assemble.cli.parser import (
     natural,
 )
 from learn2assemble.errors import InputError, check_name
-from learn2assemble.files import check_exists
+from learn2assemble.files import check_exists, check_new
 from learn2assemble.registry import Registry
 
 if TYPE_CHECKING:
@@ -30,7 +30,11 @@ if TYPE_CHECKING:
     from learn2assemble.tasks.evaluation.fidelities import Comparison
 
 
-def register_command(commands: Registry[Command]) -> None:
+PICTURES = Path("results/curves")
+"""Where curves are drawn, and drawn anew; in another folder they are new files."""
+
+
+def register_laboratory_command(commands: Registry[Command]) -> None:
     """Add the commands of the laboratory; all of them play or judge what was learned."""
     for name, command in {**_COMMANDS, **BUILDERS}.items():
         commands.register(name, dataclasses.replace(command, learns=True))
@@ -47,7 +51,7 @@ def _curves_arguments(parser: argparse.ArgumentParser) -> None:
         "decision times are measured where missing",
     )
     parser.add_argument("--runs", type=named, default=RUNS, help="file with logs of runs")
-    parser.add_argument("--out", type=named, default=Path("results/curves"), help="folder")
+    parser.add_argument("--out", type=named, default=PICTURES, help="folder")
 
 
 def _run_scaling(options: argparse.Namespace, output: Output) -> None:
@@ -56,9 +60,10 @@ def _run_scaling(options: argparse.Namespace, output: Output) -> None:
     from l2a_lab.measured import measure
 
     prepare(options.out)
+    path: Path = options.out / f"{curves.SIZES}.png"
+    check_new(path, "--out", overwrite=options.out == PICTURES or None)
     found = measure(curves.TIMES, options.out / "decisions.json", progress=output.say)
     rows = curves.load_scaled(options.out.parent, found["entries"])
-    path: Path = options.out / f"{curves.SIZES}.png"
     write_curves(
         "Targets larger than those of training (DQN: 3x3, ours: 5x5)",
         rows,
@@ -93,6 +98,7 @@ def _run_curves(options: argparse.Namespace, output: Output) -> None:
     reached = time_to(figure, options.runs)
     path: Path = options.out / f"{figure.name}.png"
     prepare(options.out)
+    check_new(path, "--out", overwrite=options.out == PICTURES or None)
     note = (
         "Training episodes, exploration included; mean over agents, band from the lowest to the "
         "highest, smoothed. " + figure.note
@@ -274,7 +280,8 @@ def _run_fidelities(options: argparse.Namespace, output: Output) -> None:
     for task in tasks:
         if not task.has_arm:
             raise InputError("task", task.name, "tasks with an arm")
-    check_new_file(options.out)
+    if options.out is not None:
+        check_new(options.out, "--out")
     found: list[Comparison] = []
     for task in tasks:
         agent = load_agent(options.agent or default_agent(task.name))

@@ -40,6 +40,7 @@ from learn2assemble.errors import InputError, UnknownNameError, check_instance, 
 from learn2assemble.files import (
     UNITS,
     as_path,
+    check_new,
     decoded,
     load_json,
     printable,
@@ -135,13 +136,18 @@ def parse_assembly(
     return _with_joints(assembly, kit)
 
 
-def write_assembly(assembly: Assembly, path: str | Path) -> None:
+def write_assembly(assembly: Assembly, path: str | Path, *, overwrite: bool = False) -> None:
     """Write our format, all or nothing.
 
+    Args:
+        path: a new file.
+        overwrite: also one that is there.
+
     Raises:
-        InputError: where the file cannot be written.
+        InputError: where the file is there, or cannot be written.
     """
-    write_file(Path(path), compact(to_json(assembly)), "assembly")
+    check_new(path := as_path(path, "path"), "path", overwrite=overwrite)
+    write_file(path, compact(to_json(assembly)), "assembly")
 
 
 def to_json(assembly: Assembly) -> dict[str, Any]:

@@ -272,7 +272,8 @@ def parse_kit(content: str, source: str = "kit") -> Kit:
     try:
         root = tomllib.loads(content)
     except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
-        raise InputError(source, printable(str(error)), "TOML") from None
+        words = "a kit file, which is TOML (docs/building.md)"
+        raise InputError(source, printable(str(error)), words) from None
     file, head = read_document(_KitFile, root, source, FORMAT, VERSION, "joint")
     if not 1 <= len(file.kinds) <= MAX_KINDS:
         raise InputError(f"{source}: kinds", f"{len(file.kinds)} kinds", f"1 to {MAX_KINDS}")

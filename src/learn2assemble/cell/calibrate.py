@@ -13,7 +13,7 @@ import numpy as np
 
 from learn2assemble.cell.site import MOST_LEAN, Site, read_site
 from learn2assemble.errors import InputError, check_name
-from learn2assemble.files import as_path, check_output, read_bytes, read_json, write_file
+from learn2assemble.files import as_path, check_new, check_output, read_bytes, read_json, write_file
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_quaternion
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.kinematics import forward, get_chain
@@ -132,14 +132,18 @@ def calibrate(
         readings: a file of what the arm touched and cameras saw (``docs/sensing.md``).
         arm: that touched, where readings are joints.
         tool: of it, whose tip touched.
-        out: what is written, all or nothing; the layout itself by default.
+        out: a new file that is written, all or nothing; by default the layout itself is replaced,
+            which is what calibrating is for.
 
     Raises:
         InputError: naming file and path of what is wrong; nothing is written then.
     """
     layout, readings = as_path(layout, "layout"), as_path(readings, "readings")
     target = layout if out is None else as_path(out, "out")
-    check_output(target, "layout")
+    if out is None:
+        check_output(target, "layout")
+    else:
+        check_new(target, "layout", layout, readings)
     site = read_site(layout)
     if site.base is None:
         raise InputError(f"{site.source}: base", "none", "where the base is taken to be")

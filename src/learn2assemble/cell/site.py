@@ -430,7 +430,7 @@ def given_sources(site: Site, pieces: Sequence[Piece], order: Sequence[int]) -> 
     Raises:
         InputError: for a kind the plan does not use, places that overlap or lie off the table.
     """
-    _check_kinds(site, {piece.kind for piece in pieces})
+    check_kinds(site, {piece.kind for piece in pieces})
     shapes: dict[str, list[Shape]] = {}
     for k in order:
         known = shapes.setdefault(pieces[k].kind, [])
@@ -463,7 +463,7 @@ def given_sources(site: Site, pieces: Sequence[Piece], order: Sequence[int]) -> 
     return [source for _, source in found]
 
 
-def _check_kinds(site: Site, kinds: set[str]) -> None:
+def check_kinds(site: Site, kinds: set[str]) -> None:
     """Refuse a kind that is none of the plan's: the arm would be sent to an empty place, or a
     magazine be chosen where the user has meant another.
 

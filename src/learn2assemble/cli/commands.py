@@ -31,7 +31,7 @@ from learn2assemble.cli.parser import (
 from learn2assemble.cli.running import COMMANDS as RUNNING
 from learn2assemble.cli.structures import COMMANDS as STRUCTURES
 from learn2assemble.errors import InputError, check_name, require
-from learn2assemble.files import check_exists, claim_folder
+from learn2assemble.files import check_exists, check_new, claim_folder
 from learn2assemble.registry import Registry
 from learn2assemble.robot.registry import ARMS
 from learn2assemble.values import to_plain
@@ -81,8 +81,13 @@ STATE = "build.jsonl"
             "--preview",
             type=named,
             metavar="PNG",
-            help="only draw what was read and the cells that were chosen, and stop",
+            help="only draw what was read and the cells that were chosen, and stop; a new file",
         ),
+    ),
+    arg(
+        "--overwrite",
+        action="store_true",
+        help="replace the file of --preview; what the command reads is never replaced",
     ),
     arg("--planner", default=None, help="of a design: exact (the default) or agent"),
     group(
@@ -190,6 +195,8 @@ def _build(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 for a complete plan, 1 for an incomplete or refused one."""
     if options.preview is not None:
         return _preview(options, output)
+    if options.overwrite:
+        raise InputError("--overwrite", "given", "--preview beside it; a build takes a new folder")
     from learn2assemble.jobs.build import arms_that_build, build, is_task
     from learn2assemble.planning.tiling.planners import PLANNERS
 
@@ -260,7 +267,13 @@ def _preview(options: argparse.Namespace, output: Output) -> int:
     kit = options.kit
     if options.plates:
         kit = with_plates(None if kit is None else load_kit(kit))
-    found = preview(options.design, options.preview, kit=kit, **reading_of(options))
+    check_new(
+        options.preview,
+        "--preview",
+        *(options.design, options.kit, options.layout, options.old),
+        overwrite=options.overwrite,
+    )
+    found = preview(options.design, options.preview, kit=kit, overwrite=True, **reading_of(options))
     shape, cells = list(found.wanted.shape), int(found.wanted.sum())
     output.say(f"{found.name}: {' × '.join(map(str, shape))} cells, {cells} to fill")
     if found.note:

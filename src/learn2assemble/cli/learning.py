@@ -7,7 +7,7 @@ import argparse
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from learn2assemble.cli.output import check_new_file, write_result
+from learn2assemble.cli.output import write_result
 from learn2assemble.cli.parser import (
     Command,
     arg,
@@ -22,6 +22,7 @@ from learn2assemble.cli.parser import (
     workers_arguments,
 )
 from learn2assemble.errors import InputError, MissingExtraError
+from learn2assemble.files import check_new
 from learn2assemble.tasks.search.config import SEARCHES, TO_THE_END
 
 if TYPE_CHECKING:
@@ -158,7 +159,8 @@ def _evaluate(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.tasks.task import get_task
 
     task = get_task(options.task, options.arm)
-    check_new_file(options.out)
+    if options.out is not None:
+        check_new(options.out, "--out")
     if options.legacy and options.search == "none":
         raise InputError("--legacy", "given", "--search NAME beside it")
     with tqdm(total=options.episodes, unit=" episodes", desc=task.name, delay=1) as bar:
@@ -254,7 +256,7 @@ def _enter(options: argparse.Namespace, output: Output) -> None:
     if (options.policies is None) == (options.server is None):
         raise InputError("--policy or --server", "both or none of them", "one of them")
     entries.check_path(options.files[0])
-    check_new_file(options.files[0])
+    check_new(options.files[0], "FILE")
     policies = [load_policy(one) for one in options.policies or ()]
     name = ", ".join(one.rpartition(":")[2] for one in options.policies or ["server"])
     found = entries.enter(

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from learn2assemble.errors import InputError, as_options
+from learn2assemble.errors import as_options
 from learn2assemble.files import printable, write_file
 from learn2assemble.progress import Detail
 
@@ -180,25 +180,6 @@ class Output:
         if self.as_json:
             sys.stdout.write(as_options(json.dumps(result)) + "\n")
             sys.stdout.flush()
-
-
-def check_new_file(path: Path | None) -> None:
-    """Refuse a result file that could not be written, before hours of episodes.
-
-    Raises:
-        InputError: where it exists, or its folder does not or cannot be written.
-    """
-    if path is None:
-        return
-    try:
-        if os.path.lexists(path):
-            raise InputError("--out", printable(str(path)), "a new file")
-        with path.open("x"):
-            pass
-        path.unlink()
-    except OSError as error:
-        reason = error.strerror or "unwritable"
-        raise InputError("--out", printable(str(path)), f"a writable file ({reason})") from None
 
 
 def write_result(path: Path | None, result: dict[str, Any]) -> None:

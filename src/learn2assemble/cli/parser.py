@@ -43,7 +43,9 @@ Adder = Callable[[argparse.ArgumentParser], object]
 COMMANDS: Registry[Command] = Registry("command", {})
 """Every command by name, in the order of the help."""
 add_plugin("learn2assemble.cli.commands", "command")
-add_plugin("l2a_lab.commands", "command", optional=True)
+LABORATORY: Registry[Command] = Registry("laboratory command", {})
+"""Those of ``l2a-lab``, where there is a laboratory."""
+add_plugin("l2a_lab.commands", "laboratory command", optional=True)
 
 
 def arg(*names: str, **options: Any) -> Adder:
@@ -96,6 +98,10 @@ def asked(
     return {name: value for name, value in vars(options).items() if name in names}
 
 
+COMMAND = "COMMAND"
+"""What help and messages call the first word."""
+
+
 class _Parser(argparse.ArgumentParser):
     """Reports a wrong call in one line and exits with 2.
 
@@ -126,7 +132,8 @@ class _Parser(argparse.ArgumentParser):
         text = " ".join(message.split())
         if "invalid choice" in text and "(choose from" in text:
             text = self._with_hint(text)
-        sys.stderr.write(f"{self.prog}: error: {text} (see {self.prog} --help)\n")
+        # As all other errors begin, with the name of the program alone.
+        sys.stderr.write(f"{self.prog.split()[0]}: error: {text} (see {self.prog} --help)\n")
         raise SystemExit(2)
 
     def _with_hint(self, text: str) -> str:
@@ -134,7 +141,13 @@ class _Parser(argparse.ArgumentParser):
         got = head.split("invalid choice: ", 1)[1].strip("'")
         valid = [choice.strip(" ')") for choice in choices.split(",")]
         near = difflib.get_close_matches(got, valid, n=1, cutoff=0.4)
-        return text + (f"; did you mean {near[0]!r}?" if near else "") + self.elsewhere
+        hint = f"did you mean {near[0]!r}?" if near else ""
+        if not head.startswith(f"argument {COMMAND}:"):
+            return f"{text}; {hint}" if near else text
+        if self.prog == L2A.name and got in LABORATORY:
+            hint = f"it is a command of the laboratory: l2a-lab {got}, or python -m l2a_lab {got}"
+        elsewhere = self.elsewhere or (LABORATORY.elsewhere if self.prog == L2A.name else "")
+        return f"command: got {got!r}, {hint or 'which there is not'}{elsewhere}"
 
 
 def number(cast: type, low: float, high: float, words: str) -> Callable[[str], Any]:
@@ -181,7 +194,19 @@ def named(text: str) -> Path:
 
 
 def length(text: str) -> float:
-    """A length with its unit, ``0.5mm`` or ``3 cm``; a bare number is metres."""
+    """A length with its unit, ``0.5mm`` or ``3 cm``, from 0; a bare number is metres."""
+    return _length(text, "a length from 0 to 1000 m, such as 0.5mm")
+
+
+def extent(text: str) -> float:
+    """How large something is: a length above 0."""
+    words = "a length above 0, up to 1000 m, such as 30mm"
+    if not (value := _length(text, words)):
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected {words}")
+    return value
+
+
+def _length(text: str, words: str) -> float:
     body = text.strip()
     unit = next((name for name in UNITS if body.endswith(name)), "")
     try:
@@ -189,7 +214,7 @@ def length(text: str) -> float:
     except ValueError:
         value = -1.0
     if not 0 <= value <= 1e3:
-        raise argparse.ArgumentTypeError(f"got {text!r}, expected a length such as 0.5mm")
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected {words}")
     return value
 
 
@@ -225,10 +250,10 @@ def reading_arguments(parser: Any) -> None:
     add = parser.add_argument
     add("--kit", default=None, help="name or .toml file (the design's own)")
     add("--unit", default=None, help="of the file where it does not say: mm, cm, m or in")
-    add("--cell", type=length, default=None, help="edge of a cell, and so of blocks")
-    add("--size", type=length, default=None, help="largest side, instead of a unit")
+    add("--cell", type=extent, default=None, help="edge of a cell, and so of blocks")
+    add("--size", type=extent, default=None, help="largest side, instead of a unit")
     add("--up", default=None, help="the axis that points up: y or z")
-    add("--depth", type=length, default=None, help="of the wall of a drawing")
+    add("--depth", type=extent, default=None, help="of the wall of a drawing")
     add("--cells-wide", type=count, default=None, help="of a drawing, picture or mesh")
     add("--repair", action="store_true", default=None, help="close small holes of a mesh")
     words = "every object of a mesh is a block where it stands, not part of a shape"
@@ -243,6 +268,13 @@ def reading_of(options: argparse.Namespace) -> dict[str, Any]:
     """What was said about how to read the design."""
     given = {name: getattr(options, name) for name in _READING}
     return {name: value for name, value in given.items() if value is not None}
+
+
+def overwrite_argument(parser: Any) -> None:
+    """Add ``--overwrite`` for files that are made again and again, see
+    :func:`~learn2assemble.files.check_new`."""
+    words = "replace the file that is there; what the command reads is never replaced"
+    parser.add_argument("--overwrite", action="store_true", help=words)
 
 
 def arm_argument(parser: argparse.ArgumentParser) -> None:
@@ -296,7 +328,7 @@ def make_parser(words: Sequence[str] = (), program: CommandLine = L2A) -> argpar
         epilog=f"example: {program.example}",
     )
     parser.add_argument("--version", action="version", version=f"learn2assemble {__version__}")
-    commands = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=_Parser)
+    commands = parser.add_subparsers(metavar=COMMAND, required=True, parser_class=_Parser)
     if isinstance(table, Registry):
         parser.elsewhere = table.elsewhere
     for name in names:

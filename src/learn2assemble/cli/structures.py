@@ -14,6 +14,7 @@ from learn2assemble.cli.parser import (
     command,
     friction,
     named,
+    overwrite_argument,
     percent,
     pull,
     reading_arguments,
@@ -181,7 +182,7 @@ def _team_reach(found: TeamReach, out: Path | None, output: Output) -> int:
     arg("--readings", type=named, required=True, metavar="FILE", help="see docs/sensing.md"),
     arg("--arm", default=None, help=f"of readings that are joints: {' or '.join(ARMS)}"),
     arg("--tool", default=None, help="whose tip touched: gripper (default), suction, ..."),
-    arg("--out", type=named, default=None, metavar="FILE", help="write this file instead"),
+    arg("--out", type=named, default=None, metavar="FILE", help="write this new file instead"),
 )
 def _calibrate(options: argparse.Namespace, output: Output) -> int:
     from learn2assemble.cell.calibrate import calibrate
@@ -326,7 +327,8 @@ def _format_argument(parser: argparse.ArgumentParser) -> None:
     "l2a export out/house --format glb",
     arg("plan", metavar="PLAN", type=named, help="folder of a plan, its plan.json, or an assembly"),
     _format_argument,
-    arg("--out", type=named, default=Path(), metavar="PATH", help="file or folder (here)"),
+    arg("--out", type=named, default=Path(), metavar="PATH", help="new file, or folder (here)"),
+    overwrite_argument,
     arg(
         "--layout",
         type=named,
@@ -354,7 +356,9 @@ def _export(options: argparse.Namespace, output: Output) -> None:
         if getattr(options, word) is not None:
             got = f"a value for the format {options.format}"
             raise InputError(f"--{word.replace('_', '-')}", got, "the format urscript")
-    written = export_assembly(options.plan, options.format, options.out)
+    written = export_assembly(
+        options.plan, options.format, options.out, overwrite=options.overwrite
+    )
     output.say(f"{options.format}: {written}")
     output.finish({"format": options.format, "file": str(written)})
 
@@ -371,6 +375,7 @@ def _export_program(options: argparse.Namespace, output: Output) -> None:
         resume_from=options.resume_from,
         speed=options.speed,
         refill=options.refill,
+        overwrite=options.overwrite,
     )
     if done.rows:
         output.table("blocks are taken from", PLACE_HEAD, done.rows)

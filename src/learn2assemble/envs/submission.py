@@ -21,7 +21,7 @@ from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from learn2assemble.envs.suite import SUITE, SUITE_VERSION, Choose, Played, SuiteTask
 from learn2assemble.errors import InputError, check_arguments, check_fields, is_whole
-from learn2assemble.files import printable, read_json_lines, write_file
+from learn2assemble.files import check_new, printable, read_json_lines, write_file
 from learn2assemble.tasks.task import DESIGN_TASKS, GOAL_TASKS, HIDDEN_TASKS
 from learn2assemble.values import from_plain, to_plain
 
@@ -73,13 +73,18 @@ class Submission:
             max(len({one.run for one in mine}), 1), -1
         )
 
-    def write(self, path: str | Path) -> None:
+    def write(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write the file, ``NAME.jsonl.gz``.
 
+        Args:
+            path: a new file.
+            overwrite: also one that is there.
+
         Raises:
-            InputError: for another ending, or a file that cannot be written.
+            InputError: for another ending, a file that is there, or one that cannot be written.
         """
         check_path(path := Path(path))
+        check_new(path, "path", overwrite=overwrite)
         lines = self._lines()
         head = {**self._head(), "sha256": _digest(lines)}
         text = "".join(f"{line}\n" for line in [_line(head), *lines[1:]])

@@ -30,4 +30,5 @@ def _assembly(plan: Any, folder: Path) -> dict[str, Path]:
 
     # Without a proven order there is nothing to build from.
     names = WITH_EVERY_PLAN if plan.assembly.steps else WITH_EVERY_PLAN[:1]
-    return {name: export_assembly(plan.assembly, name, folder) for name in names}
+    # Plan.save has looked whose files are there.
+    return {name: export_assembly(plan.assembly, name, folder, overwrite=True) for name in names}

@@ -9,6 +9,7 @@ import csv
 import io
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -28,7 +29,7 @@ from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
 from learn2assemble.export.cards import step_cards
 from learn2assemble.export.pdf import pdf
-from learn2assemble.files import as_path, check_output, write_file
+from learn2assemble.files import as_path, check_new, write_file
 from learn2assemble.registry import Registry
 
 
@@ -205,7 +206,7 @@ write_mjcf: Callable[[Assembly, Path], None] = _writer(mjcf, "MJCF file")
 FORMATS: Registry[tuple[str, Callable[[Assembly, Path], None]]] = Registry(
     "format",
     {
-        "assembly": ("assembly.json", write_assembly),
+        "assembly": ("assembly.json", partial(write_assembly, overwrite=True)),
         "bill": ("bill.csv", _writer(bill_of_blocks, "bill of blocks")),
         "cards": ("cards.html", _writer(step_cards, "step cards")),
         "compas": ("compas.json", write_compas),
@@ -215,28 +216,31 @@ FORMATS: Registry[tuple[str, Callable[[Assembly, Path], None]]] = Registry(
         "pdf": ("instructions.pdf", _writer(pdf, "PDF file")),
     },
 )
-"""Usual file name and writer of every format."""
+"""Usual file name and writer of every format; :func:`export_assembly` looks at what is there."""
 
 
-def export_assembly(assembly: Assembly | str | Path, format: str, path: str | Path) -> Path:
+def export_assembly(
+    assembly: Assembly | str | Path, format: str, path: str | Path, *, overwrite: bool = False
+) -> Path:
     """Write an assembly in a format by name.
 
     Args:
         assembly: blocks where they stand, with steps where the format tells of them, such as
             ``plan.assembly``; or what :func:`learn2assemble.assembly.files.read_assembly` reads.
         format: a name of :data:`FORMATS`.
-        path: the file, or a folder that gets a file of the usual name.
+        path: a new file, or a folder that gets a file of the usual name.
+        overwrite: also a file that is there, but none that is read.
 
     Returns:
         The file written.
 
     Raises:
         UnknownNameError: naming the nearest format.
-        InputError: for a file that cannot be read.
+        InputError: for a file that cannot be read, and one that is there already.
     """
     name, write = FORMATS[format]
     file = file_at(path, name)
-    check_output(file, format)  # Before anything is read.
+    check_new(file, format, assembly, overwrite=overwrite)  # Before anything is read.
     if isinstance(assembly, str | Path):
         assembly = read_assembly(assembly)
     if not isinstance(assembly, Assembly):  # pyright: ignore[reportUnnecessaryIsInstance]

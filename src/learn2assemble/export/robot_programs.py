@@ -19,7 +19,7 @@ from learn2assemble.export.place_words import place_rows
 from learn2assemble.export.robot_tables import read_table, write_franka, write_table
 from learn2assemble.export.ros2 import is_bag, read_bag, write_bag
 from learn2assemble.export.urscript import write_urscript
-from learn2assemble.files import as_path, check_exists, check_output
+from learn2assemble.files import as_path, check_exists, check_new
 from learn2assemble.motion.driver import arm_of
 from learn2assemble.motion.files import read_record
 from learn2assemble.motion.knots import usage
@@ -88,6 +88,7 @@ def export_program(
     resume_from: int | None = None,
     speed: float | None = None,
     refill: str | None = None,
+    overwrite: bool = False,
 ) -> Exported:
     """Write the program of a robot that repeats a build.
 
@@ -95,8 +96,8 @@ def export_program(
         source: what ``l2a build --arm`` has written: its folder or its ``trajectory.json``; or
             the record of a plan, ``plan.record``.
         format: ``csv``, ``franka``, ``ros2`` or ``urscript``.
-        path: the file, or a folder that gets a file of the usual name; a table whose name ends in
-            ``.gz`` is packed.
+        path: a new file, or a folder that gets a file of the usual name; a table whose name ends
+            in ``.gz`` is packed.
         layout: of ``urscript``: a layout file, whose section ``program`` says what stands at the
             top of the program (``docs/layouts.md``), or these settings; by default their defaults.
         resume_from: of ``urscript``: number of the first step that the program carries out when
@@ -107,17 +108,18 @@ def export_program(
         refill: of ``urscript``: who lays blocks where others were taken. ``hand`` (the default):
             the program stops before each such step and asks a person for the block. ``feeder``: it
             takes the next one without asking, as a magazine of the simulation has it there in time.
+        overwrite: ``path`` may also be a file that is there, but none that is read.
 
     Raises:
         UnknownNameError: naming the nearest format.
         InputError: for a layout or step that cannot be used or is not for the format, a record
-            that cannot be used, an arm the format is not for, and a file that cannot be written;
-            an old one is left as it was then.
+            that cannot be used, an arm the format is not for, and a file that is there already or
+            cannot be written; an old one is left as it was then.
         MissingExtraError: for ``ros2`` without the extra ``ros2``.
     """
     name, write = PROGRAMS[format]
     file = file_at(path, name)
-    check_output(file, "program")  # Before anything is read.
+    check_new(file, "program", source, layout, overwrite=overwrite)  # Before anything is read.
     options: dict[str, Any] = {}
     for word, given in (
         ("layout", layout),

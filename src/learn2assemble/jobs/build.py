@@ -167,15 +167,15 @@ def build(
             "layout": layout,
             "tool": tool,
             "state": state,
-            "supports": supports != "auto",
-            "holds": holds,
-            "hands": hands,
-            "shell": shell is not None,
-            "plates": plates,
+            "supports": None if supports == "auto" else supports,
+            "holds": holds or None,
+            "hands": hands or None,
+            "shell": shell,
+            "plates": plates or None,
             "old": old,
-            "noise": any(noise),
-            "physics": physics != PHYSICS[0],
-            **dict.fromkeys(reading, True),
+            "noise": noise if any(noise) else None,
+            "physics": None if physics == PHYSICS[0] else physics,
+            **reading,
         }
         _refuse(given, f"a design (not the task {design})")
         for name in arms:
@@ -206,8 +206,8 @@ def build(
                 "tool": tool,
                 "layout": layout,
                 "state": state,
-                "physics": physics != PHYSICS[0],
-                "noise": any(noise),
+                "physics": None if physics == PHYSICS[0] else physics,
+                "noise": noise if any(noise) else None,
             },
             "an arm to build with (`arm=`)",
         )
@@ -221,6 +221,7 @@ def build(
     if plates and not isinstance(found, CellDesign):
         raise InputError("plates", True, "a design of cells: these blocks are given, or goals")
     check_asked(found, kit, help_, choice.name)
+    how = None if how is None else how.read(found, kit)
     if how is not None and how.several:
         return team_plan(found, kit, how, help_, choice, given)
     workcell = None if how is None else how.workcell(has_studs(found, kit))
@@ -383,8 +384,11 @@ def _rebuilt(
 
 def _refuse(given: Mapping[str, Any], expected: str) -> None:
     """Refuse those arguments that have a value, as they mean nothing here."""
-    if named := [name for name, value in given.items() if value]:
-        raise InputError(", ".join(named), "given", expected)
+    there = {name: value for name, value in given.items() if value is not None}
+    if there:
+        values = [_called(value) for value in there.values()]
+        got = values[0] if len(values) == 1 else values
+        raise InputError(", ".join(there), got, expected)
 
 
 def _check_values(**given: Any) -> None:
@@ -453,6 +457,9 @@ def _kit(kit: Any) -> Kit | None:
     return kit
 
 
-def _called(design: object) -> str:
-    """What a message calls a design that is none."""
-    return str(design) if isinstance(design, str | Path) else type(design).__name__
+def _called(value: object) -> object:
+    """What a message calls a value that is not what it should be: itself, if that is short."""
+    if isinstance(value, Path):
+        return str(value)
+    short = value is None or isinstance(value, str | int | float | complex | tuple)
+    return value if short else type(value).__name__

@@ -65,6 +65,20 @@ class ArmChoice(NamedTuple):
             check_name("tool", self.tool, TOOLS)
         check_name("physics", self.physics, PHYSICS)
 
+    def read(self, design: Assembly | CellDesign | Goals, kit: Kit | None) -> ArmChoice:
+        """The same with the layout read, and looked at as far as that goes before planning.
+
+        Raises:
+            InputError: also for arms it has not, and kinds of blocks that are not in the kit.
+        """
+        from learn2assemble.cell.site import check_kinds
+
+        how = self._replace(layout=self._site())
+        _, site = how.team()
+        if isinstance(design, CellDesign) and (own := kit_of(design, kit)).joint.law == "dry":
+            check_kinds(site, {kind.name for kind in own.kinds})
+        return how
+
     @property
     def several(self) -> bool:
         """Whether more than one arm builds."""

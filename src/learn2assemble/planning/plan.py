@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from learn2assemble.errors import InputError
-from learn2assemble.files import MAX_GENERATED, as_path, read_json, write_file
+from learn2assemble.files import MAX_GENERATED, as_path, load_json, read_text, write_file
 from learn2assemble.planning.reports import ArmReport, BuilderArm, RebuildReport
 from learn2assemble.registry import Registry
 from learn2assemble.values import Range, from_plain, integer, mapping, to_plain
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from learn2assemble.motion.record import BuildRecord
 
 FORMAT, VERSION = "learn2assemble-plan", 3
+KIND = "plan.json or its folder"
 Metre = Annotated[float, Range(-1e3, 1e3)]
 Seconds = Annotated[float, Range(0, 1e9)]
 Share = Annotated[float, Range(-100, 1.001)]
@@ -369,7 +370,10 @@ class Plan:
         """
         file = as_path(path, "plan")
         file = file / "plan.json" if file.is_dir() else file
-        plan = cls.from_dict(*read_json(file, "plan.json or its folder", MAX_GENERATED))
+        text, source = read_text(file, KIND, MAX_GENERATED)
+        if text.strip() and text.lstrip()[0] != "{":
+            raise InputError(source, "a file of another kind", KIND)
+        plan = cls.from_dict(load_json(text, source, KIND), source)
         names = trajectory_names(max(len(plan.arms), 1))
         motions = [file.with_name(f"{name}.json") for name in names]
         if all(motion.exists() for motion in motions):
@@ -393,7 +397,8 @@ class Plan:
         """Write ``plan.json``, with an arm its trajectory, and what else is asked for.
 
         Args:
-            folder: made where it does not exist; files in it are replaced.
+            folder: made where it does not exist; the files of a plan that was saved in it are
+                replaced.
             video: also ``build.mp4``, of a plan with an arm; needs the extra ``video``.
             page: also ``view.html`` and ``progress.png``.
             progress: told what takes long.
@@ -402,10 +407,12 @@ class Plan:
             Which file is what.
 
         Raises:
-            InputError: where something cannot be written. A motion that is not sound is no reason
+            InputError: where something cannot be written, or a file of such a name is not that of a
+                plan (:func:`check_own`). A motion that is not sound is no reason
                 to lose a finished build: all files are written, and ``arm.motion_fault`` says so.
         """
-        folder, said = as_path(folder, "folder"), self._with_fault(progress)
+        check_own(folder := as_path(folder, "folder"))
+        said = self._with_fault(progress)
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -451,10 +458,23 @@ class Plan:
         return dataclasses.replace(self, arms=named)
 
     def write_page(self, folder: Path) -> dict[str, Path]:
-        """Write ``view.html`` and ``progress.png``; which file is what."""
+        """Write ``view.html`` and ``progress.png``, see :meth:`save`; which file is what."""
+        check_own(folder)
         return EXPORTS["page"](self, folder)
 
 
+OWN = (
+    "plan.json",
+    "assembly.json",
+    "bill.csv",
+    "cards.html",
+    "view.html",
+    "progress.png",
+    "build.mp4",
+    "trajectory*.json",
+    "trajectory*.csv",
+)
+"""What the files of a plan are called in its folder."""
 Exporter = Callable[[Plan, Path], dict[str, Path]]
 """Writes something of a plan into a folder; returns which file is what."""
 EXPORTS: Registry[Exporter] = Registry("export", {})
@@ -464,6 +484,23 @@ EXPORTS: Registry[Exporter] = Registry("export", {})
 def trajectory_names(arms: int) -> list[str]:
     """What the files of the motions of so many arms are called, without their ends."""
     return ["trajectory"] if arms == 1 else [f"trajectory-{n}" for n in range(1, arms + 1)]
+
+
+def check_own(folder: Path) -> None:
+    """Refuse a folder with files that a plan would replace and that are not of a plan.
+
+    Raises:
+        InputError: where there is one of them, and no ``plan.json`` of this program beside it.
+    """
+    found = next((path.name for name in OWN for path in folder.glob(name)), "")
+    if found:
+        plan, head = folder / "plan.json", ""
+        if plan.is_file():
+            with plan.open(encoding="utf-8", errors="replace") as file:
+                head = file.read(200)
+        if f'"{FORMAT}"' not in head:
+            expected = "a folder without such files, or one that a plan was saved in"
+            raise InputError("folder", f"{folder}, with another {found}", expected)
 
 
 def load_plan(path: str | Path) -> Plan:

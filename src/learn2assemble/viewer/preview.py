@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 
 from learn2assemble.assembly.appearance import millimetres
-from learn2assemble.files import write_file
+from learn2assemble.files import as_path, check_new, write_file
 from learn2assemble.jobs.build import cells_of
 
 if TYPE_CHECKING:
@@ -47,22 +47,26 @@ def preview(
     path: str | Path,
     *,
     kit: str | Kit | None = None,
+    overwrite: bool = False,
     **reading: Any,
 ) -> CellDesign:
     """Draw what was read of a design, and the cells that were chosen for it; nothing is planned.
 
     Args:
         design, kit, reading: see :func:`learn2assemble.build`.
-        path: of the picture (PNG) to write.
+        path: of the picture (PNG) to write, a new file.
+        overwrite: also a file that is there, but none that is read.
 
     Returns:
         The cells.
 
     Raises:
-        InputError: for what is no design of cells.
+        InputError: for what is no design of cells, and a file that is there already.
     """
+    path = as_path(path, "path")
+    check_new(path, "preview", design, kit, overwrite=overwrite)
     found = cells_of(design, kit, reading, preview)
-    write_file(Path(path), draw(found), "preview")
+    write_file(path, draw(found), "preview")
     return found
 
 

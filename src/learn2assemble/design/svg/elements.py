@@ -25,6 +25,8 @@ MAX_VISITED = 3 * MAX_ENTITIES
 """Most elements that are visited, those of copies, clip paths and masks each time."""
 HREF = "{http://www.w3.org/1999/xlink}href"
 IDENTITY = np.eye(3)
+TOLD = 3
+"""So many paths with an error are told by name."""
 Drawn = tuple[list[PaintedPart], np.ndarray | None]
 """Parts of an element, and its box in the user units of what it stands in, ``float64[2, 2]``."""
 
@@ -73,8 +75,10 @@ class Elements:
         self.visited = self.points = self.letters = 0
         self.open: set[ElementTree.Element] = set()
         self.boxed: bool = any(local(element) in ("clipPath", "mask") for element in root.iter())
-        self.read: dict[str, tuple[list[Curve], bool]] = {}
+        self.read: dict[str, tuple[list[Curve], int | None]] = {}
         """Path data that was read."""
+        self.told: set[tuple[int, int]] = set()
+        """Paths with an error that are told by name, and where that is."""
         self.turns: dict[str, Matrix | None] = {}
         """Transforms that were read."""
         self.places: dict[ElementTree.Element, Context] = {}
@@ -194,14 +198,16 @@ class Elements:
         self, tag: str, element: ElementTree.Element, place: Context
     ) -> tuple[tuple[Curve, ...], np.ndarray | None]:
         """The curves of a shape in coordinates of the drawing, and its box in its user units."""
-        sound = True
+        sound, where = True, ""
         if tag == "path":
             data = place.style.get("d", element.get("d", ""))
             if data.startswith("path("):
                 data = data[5:].strip(" \"')")
             if data not in self.read:
                 self.read[data] = paths.path(data, MAX_VERTICES)
-            curves, sound = self.read[data]
+            curves, wrong = self.read[data]
+            sound = wrong is None
+            where = "" if wrong is None else self._where(element, data.strip(), wrong)
         elif tag in ("polyline", "polygon"):
             points = paths.numbers(element.get("points", ""))
             sound = points is not None
@@ -215,10 +221,19 @@ class Elements:
             curves = [replace(curve, closed=False) for curve in paths.polygon(ends)]
         else:
             curves = self._basic(tag, place)
-        self.not_read[f"{tag} with an error"] += not sound
+        self.not_read[f"{tag} with an error{where}"] += not sound
         self.visit(points=sum(len(curve.points) for curve in curves))
         box = paths.box_of(curves) if self.boxed else None
         return tuple(curve.moved(place.matrix) for curve in curves), box
+
+    def _where(self, element: ElementTree.Element, data: str, wrong: int) -> str:
+        """Which path has an error, and where, of the first few: its id or how it begins."""
+        if len(self.told) >= TOLD and (id(element), wrong) not in self.told:
+            return ""
+        self.told.add((id(element), wrong))
+        name = element.get("id")
+        which = f"d={data[:12]!r}..." if name is None else f"id={name!r}"
+        return f" ({which}, letter {wrong + 1}: {data[wrong : wrong + 8]!r})"
 
     def _basic(self, tag: str, place: Context) -> list[Curve]:
         """Rectangles and ellipses; a corner radius that is not said is that of the other axis."""

@@ -385,17 +385,17 @@ class _Pen:
                 self.quadratic(mirrored if kind == "T" else given[0], given[-1])
 
 
-def path(data: str, most: int) -> tuple[list[Curve], bool]:
-    """The subpaths of path data up to its first error, as browsers draw them, and whether it has
-    none.
+def path(data: str, most: int) -> tuple[list[Curve], int | None]:
+    """The subpaths of path data up to its first error, as browsers draw them, and the letter at
+    which that is, from 0; None where there is none.
 
     Args:
         most: points after which reading ends.
     """
-    pen, position, command, drawn = _Pen(), 0, "", 0
+    pen, start, position, command, drawn = _Pen(), 0, 0, "", 0
     data, sound = data.strip(), True
     while position < len(data) and drawn <= most:
-        letter = _LETTER.match(data, position)
+        start, letter = position, _LETTER.match(data, position)
         if letter:
             command, position = str(letter[1]), letter.end()
         elif command in ("", "Z", "z"):
@@ -417,7 +417,7 @@ def path(data: str, most: int) -> tuple[list[Curve], bool]:
         pen.draw(command, values)
         drawn += 8 if command in "Aa" else 1 + len(values) // 2
     pen.lift(False)
-    return pen.made, sound
+    return pen.made, None if sound else start
 
 
 def polygon(points: list[float]) -> list[Curve]:
