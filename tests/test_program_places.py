@@ -311,7 +311,7 @@ def test_steps_of_a_person_keep_their_numbers(record: BuildRecord, tmp_path: Pat
     text = export_program(moved, "urscript", tmp_path, resume_from=3).file.read_text()
     assert [int(lines[0].split(":")[0]) for lines in steps_of(text)] == numbers
     with pytest.raises(InputError, match="resume_from"):
-        export_program(moved, "urscript", tmp_path, resume_from=2)
+        export_program(moved, "urscript", tmp_path, resume_from=2, overwrite=True)
     # Also a number that is set by hand to none of the steps of the arm begins with a check.
     assert "if (not l2a_started):" in text
     program = make_program(moved, arm_of(moved.arm))
@@ -365,7 +365,7 @@ def test_a_first_run_is_slow(record: BuildRecord, tmp_path: Path) -> None:
         ({"speed": 1.0}, 1.0),
         ({"layout": layout, "speed": 0.05}, 0.05),
     ):
-        done = export_program(record, "urscript", tmp_path, **given)
+        done = export_program(record, "urscript", tmp_path, overwrite=True, **given)
         assert done.speed == factor
         text = done.file.read_text()
         assert UrScript(text).top["l2a_factor"] == f"{factor:g}"
@@ -395,7 +395,7 @@ def test_the_command(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     assert "comments at the beginning of" in said.out + said.err
     top = UrScript(file.read_text()).top
     assert (top["l2a_factor"], top["l2a_refill_by_hand"]) == ("0.5", "False")
-    assert main([*call, "--json"]) == 0
+    assert main([*call, "--overwrite", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["speed"] == 0.25
     assert [place["place"] for place in told["places"]] == [
