@@ -31,6 +31,13 @@ def as_options(text: str) -> str:
     return _ARGUMENT.sub(lambda found: f"--{found[1].replace('_', '-')} {found[2]}".strip(), text)
 
 
+def as_both(text: str) -> str:
+    """The same for files and pages, which users of both read: option / argument."""
+    return _ARGUMENT.sub(
+        lambda found: f"{as_options(found[0])} / {found[1]}={found[2] and repr(found[2])}", text
+    )
+
+
 _ARGUMENT = re.compile(r"`([a-z_]+)=([^`=\n]*)`")
 
 

@@ -305,6 +305,7 @@ def _summary(plan: Plan) -> dict[str, Any]:
         "planner_chosen": [a.result for a in plan.search.attempts] if plan.search else [],
         "kit": plan.kit,
         "blocks": plan.blocks.used,
+        "blocks_not_placed": plan.not_placed,
         "props": sum(step.prop and step.action == "place" for step in plan.steps),
         "holds": sum(step.action == "hold" for step in plan.steps),
         "steps": len(plan.steps),
@@ -364,7 +365,10 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
     """Blocks by kind, then what was filled and what is proven."""
     output.table(plan.design.name, ("block", "", "number"), _counted(plan))
     number = f"{plan.blocks.used} blocks, {len(plan.steps)} steps"
-    output.say(f"{plan.status}: {number}, {plan.planner} planner, {plan.seconds:.1f} s")
+    status = plan.status
+    if found := plan.not_placed:
+        status, number = f"{status} by the arm", f"{found} blocks found, none placed"
+    output.say(f"{status}: {number}, {plan.planner} planner, {plan.seconds:.1f} s")
     if helped := _hands_of(plan):
         output.say(f"hands: {', '.join(helped)}")
     for stage in plan.search.attempts if plan.search else ():
@@ -376,8 +380,9 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
         other = cells.other_colour
         colour = "" if other is None else f", {other} in a block of another colour"
         shape = "" if design.iou is None else f"; {design.iou:.0%} of drawing and cells are common"
+        planned = "cells, as planned" if plan.not_placed else "cells"
         output.say(
-            f"cells: {cells.wanted} wanted, {cells.missing} open, {cells.outside} outside"
+            f"{planned}: {cells.wanted} wanted, {cells.missing} open, {cells.outside} outside"
             f"{colour}{shape}"
         )
         if design.not_read:

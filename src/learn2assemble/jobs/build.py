@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeGuard
+from typing import TYPE_CHECKING, Any, TypeGuard, cast
 
 import numpy as np
 
@@ -461,5 +461,6 @@ def _called(value: object) -> object:
     """What a message calls a value that is not what it should be: itself, if that is short."""
     if isinstance(value, Path):
         return str(value)
-    short = value is None or isinstance(value, str | int | float | complex | tuple)
-    return value if short else type(value).__name__
+    if value is None or isinstance(value, str | int | float | complex):
+        return value
+    return cast("object", value) if isinstance(value, tuple) else type(value).__name__

@@ -14,8 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, as_both
 from learn2assemble.files import MAX_GENERATED, as_path, load_json, read_text, write_file
+from learn2assemble.planning.folder import FORMAT, check_own
 from learn2assemble.planning.reports import ArmReport, BuilderArm, RebuildReport
 from learn2assemble.registry import Registry
 from learn2assemble.values import Range, from_plain, integer, mapping, to_plain
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly, Block
     from learn2assemble.motion.record import BuildRecord
 
-FORMAT, VERSION = "learn2assemble-plan", 3
+VERSION = 3
 KIND = "plan.json or its folder"
 Metre = Annotated[float, Range(-1e3, 1e3)]
 Seconds = Annotated[float, Range(0, 1e9)]
@@ -240,7 +241,8 @@ class Plan:
 
     design: PlanDesign
     status: Status
-    """``refused``: proven to be impossible; ``not found``: neither found nor ruled out."""
+    """``refused``: proven to be impossible, or, where :attr:`not_placed` blocks were found, the arm
+    cannot make the order; ``not found``: neither found nor ruled out."""
     reason: str | None
     """What is missing, in one sentence."""
     blocks: BlockSupply
@@ -314,6 +316,14 @@ class Plan:
         """Whether it was refused, or nothing was found: not one block is in it."""
         none = not self.steps and self.blocks.available == 0
         return none and not self.complete and self.assembly is None
+
+    @property
+    def not_placed(self) -> int:
+        """Blocks that were found and stand, but of which the arm cannot place all: none is."""
+        if self.steps or self.status != "refused" or not (self.arm or self.arms):
+            return 0
+        blocks = self.assembly.blocks if self.assembly else ()
+        return sum(not (block.prop or block.support) for block in blocks)
 
     @property
     def proven_for(self) -> dict[str, str]:
@@ -413,6 +423,7 @@ class Plan:
         """
         check_own(folder := as_path(folder, "folder"))
         said = self._with_fault(progress)
+        said = dataclasses.replace(said, reason=said.reason and as_both(said.reason))
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -463,18 +474,6 @@ class Plan:
         return EXPORTS["page"](self, folder)
 
 
-OWN = (
-    "plan.json",
-    "assembly.json",
-    "bill.csv",
-    "cards.html",
-    "view.html",
-    "progress.png",
-    "build.mp4",
-    "trajectory*.json",
-    "trajectory*.csv",
-)
-"""What the files of a plan are called in its folder."""
 Exporter = Callable[[Plan, Path], dict[str, Path]]
 """Writes something of a plan into a folder; returns which file is what."""
 EXPORTS: Registry[Exporter] = Registry("export", {})
@@ -484,23 +483,6 @@ EXPORTS: Registry[Exporter] = Registry("export", {})
 def trajectory_names(arms: int) -> list[str]:
     """What the files of the motions of so many arms are called, without their ends."""
     return ["trajectory"] if arms == 1 else [f"trajectory-{n}" for n in range(1, arms + 1)]
-
-
-def check_own(folder: Path) -> None:
-    """Refuse a folder with files that a plan would replace and that are not of a plan.
-
-    Raises:
-        InputError: where there is one of them, and no ``plan.json`` of this program beside it.
-    """
-    found = next((path.name for name in OWN for path in folder.glob(name)), "")
-    if found:
-        plan, head = folder / "plan.json", ""
-        if plan.is_file():
-            with plan.open(encoding="utf-8", errors="replace") as file:
-                head = file.read(200)
-        if f'"{FORMAT}"' not in head:
-            expected = "a folder without such files, or one that a plan was saved in"
-            raise InputError("folder", f"{folder}, with another {found}", expected)
 
 
 def load_plan(path: str | Path) -> Plan:

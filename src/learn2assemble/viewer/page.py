@@ -19,7 +19,7 @@ from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.assembly.instruction_words import HOW_TO_READ, count_words, length_words
 from learn2assemble.assembly.instructions import Instructions, instructions
 from learn2assemble.constants import GRAVITY
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, as_both
 from learn2assemble.files import write_file
 from learn2assemble.planning.plan import LARGEST, Plan
 from learn2assemble.viewer import scene, tables
@@ -52,6 +52,7 @@ TONES = {
     "not found": "warn",
     "out of reach": "bad",
     "refused": "bad",
+    "refused by the arm": "bad",
     "falls": "bad",
 }
 _SPEEDS = (0.5, 1, 2, 4, 8, 16, 32, 64)
@@ -315,7 +316,7 @@ def write_plan_page(plan: Plan, path: Path) -> None:
         title=plan.design.name,
         facts=_facts(plan),
         step_notes=[_note(step, targets, leaning) for step in plan.steps],
-        verdict=Verdict(plan.status, plan.reason or ""),
+        verdict=Verdict(_status(plan), as_both(plan.reason or "")),
         plan=plan,
     )
     write_file(path, text, "page")
@@ -335,6 +336,7 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
         ("kit", plan.kit),
         ("steps", str(len(plan.steps))),
         ("blocks", f"{used} of {available}" if targets else str(used)),
+        ("blocks found, none placed", str(plan.not_placed) if plan.not_placed else None),
         ("props", str(props) if props else None),
         ("holds by a hand", str(holds) if holds else None),
     ]
@@ -345,7 +347,7 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
         words = f"{cells.wanted} wanted, {cells.missing} open, {cells.outside} outside"
         if cells.other_colour is not None:
             words += f", {cells.other_colour} in a block of another colour"
-        facts.append(("cells", words))
+        facts.append(("cells, as planned" if plan.not_placed else "cells", words))
     if plan.design.iou is not None:
         facts.append(("drawing and cells in common", f"{plan.design.iou:.1%}"))
     facts.append(("warning", plan.design.not_read))
@@ -357,6 +359,11 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
         facts.append(("push not computed", f"{left} of {len(plan.steps)} steps"))
     facts += [(f"proven for {what}", words) for what, words in plan.proven_for.items()]
     return [(name, value) for name, value in facts if value]
+
+
+def _status(plan: Plan) -> str:
+    """The status of a plan, and who refuses it where it is an arm."""
+    return f"{plan.status} by the arm" if plan.not_placed else plan.status
 
 
 def _who(plan: Plan, name: str) -> str:
@@ -384,7 +391,7 @@ def _page_of_nothing(plan: Plan) -> str:
     tried."""
     marks = _blamed(plan)
     page = {
-        **_head(plan.design.name, Verdict(plan.status, plan.reason or ""), plan),
+        **_head(plan.design.name, Verdict(plan.status, as_both(plan.reason or "")), plan),
         "summary": "No blocks were placed.",
         "body": "fixed assembly bare",
         "facts": fact_list(_facts(plan)),

@@ -231,6 +231,7 @@ class Elements:
         if len(self.told) >= TOLD and (id(element), wrong) not in self.told:
             return ""
         self.told.add((id(element), wrong))
+        wrong += len(data[wrong:]) - len(data[wrong:].lstrip())
         name = element.get("id")
         which = f"d={data[:12]!r}..." if name is None else f"id={name!r}"
         return f" ({which}, letter {wrong + 1}: {data[wrong : wrong + 8]!r})"
