@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from brick_data import BRICK, CORNER, TURNS, lying, off_by, shifted
 from learn2assemble.cell.calibrate import calibrate
 from learn2assemble.cell.site import read_site
 from learn2assemble.errors import InputError
@@ -25,7 +26,6 @@ from learn2assemble.sensing.pictures import SimulatedCamera, still_scene
 from learn2assemble.sensing.registration import Believed, register
 from learn2assemble.sensing.residuals import views_of
 from learn2assemble.sensing.search import find
-from seen_scenes import BRICK, CORNER, TURNS, lying, off_by, shifted
 
 BASE = np.array([0.0, -0.5, 0.0, *yaw_quaternion(1.57)])
 OFF = np.array([0.004, -0.003, 0.002, 0.006, -0.008, 0.01])

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import learn2assemble as l2a
+from brick_data import BRICK, CORNER, TURNS, lying, off_by, shifted
 from learn2assemble.cell.carry_out import Workcell, carry_out, prepare, setup_of
 from learn2assemble.cell.site import read_site
 from learn2assemble.errors import InputError
@@ -40,7 +41,6 @@ from learn2assemble.sensing.registration import Believed, Look, register
 from learn2assemble.sensing.residuals import views_of
 from learn2assemble.sensing.search import find
 from learn2assemble.simulation.kinematic_plant import KinematicPlant
-from seen_scenes import BRICK, CORNER, TURNS, lying, off_by, shifted
 
 OTHER = DepthCamera("other", (-0.6, 0.4, 0.8, *looking(np.array([0.6, -0.4, -0.8]))))
 BOTH = (CORNER, OTHER)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from brick_data import BRICK, CORNER, TURNS, lying, off_by, shifted
 from learn2assemble.cell.site import read_site
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.hulls import hull_of, resting_turns
@@ -32,7 +33,6 @@ from learn2assemble.sensing.registration import (
 )
 from learn2assemble.sensing.residuals import views_of
 from learn2assemble.sensing.resting import LEVEL, TABLE, alone, rested
-from seen_scenes import BRICK, CORNER, TURNS, lying, off_by, shifted
 
 WEDGE = hull_of(np.array([[0, 0, 0], [8, 0, 0], [0, 5, 0], [8, 5, 0], [0, 0, 4], [0, 5, 4]]) / 100)
 SHIFTED = tuple((np.array(WEDGE.corners) - [0.04, 0.025, 0.02]).tolist())

@@ -14,6 +14,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from brick_data import shifted
 from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.belief import Estimate
@@ -45,7 +46,6 @@ from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.task import Task
 from learn2assemble.tasks.world.state import State
 from learning_data import advance, turned_graph
-from seen_scenes import shifted
 
 ARM = get_arm("panda", "gripper")
 SHARP = (3e-4, 3e-4, 1e-4, 0.006, 0.006, 0.006)
