@@ -21,7 +21,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from l2a_lab.__main__ import command_line
 from learn2assemble.cli import main
+from learn2assemble.cli.parser import L2A
 from learn2assemble.errors import InputError
 from learn2assemble.files import (
     MAX_BYTES,
@@ -272,9 +274,10 @@ def test_files_that_explode_are_refused_by_commands(
     file = tmp_path / ("a.jsonl" if command == "replay" else "a.json")
     file.write_text("[" * 100_000 + "]" * 100_000 + "\n")
     more = ["--out", str(tmp_path / "out")] if command == "build" else []
-    assert main([command, str(file), *more]) == 2
+    program = command_line() if command == "replay" else L2A
+    assert main([command, str(file), *more], program) == 2
     message = capsys.readouterr().err.splitlines()[-1]
-    assert message.startswith("l2a: error: ")
+    assert message.startswith(f"{program.name}: error: ")
     assert not (tmp_path / "out").exists()
 
 

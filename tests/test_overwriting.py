@@ -9,7 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 import learn2assemble as l2a
@@ -111,7 +110,7 @@ def test_overwrite_is_for_files(here: Path, capsys: pytest.CaptureFixture[str]) 
     assert "--preview" in capsys.readouterr().err
 
 
-BLOCK = l2a.Assembly((l2a.box_block("a", np.zeros(3), np.full(3, 0.1)),))
+BLOCK = l2a.Assembly((l2a.box_block("a", (0.0, 0.0, 0.0), (0.1, 0.1, 0.1)),))
 PLAIN: dict[str, Callable[..., Any]] = {
     "write_assembly": lambda file, **more: l2a.write_assembly(BLOCK, file, **more),
     "export_assembly": lambda file, **more: l2a.export_assembly(BLOCK, "glb", file, **more),

@@ -1006,7 +1006,7 @@ def test_an_old_file_stays_where_writing_fails(
 
     monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(InputError, match="No space left"):
-        export_program(arm_record("panda", 2, failures=False), format, tmp_path)
+        export_program(arm_record("panda", 2, failures=False), format, tmp_path, overwrite=True)
     assert old.read_text() == "old"
     assert [path.name for path in tmp_path.iterdir()] == [old.name]
 
