@@ -66,10 +66,13 @@ def test_a_broken_path_is_named(tmp_path: Path) -> None:
     file = tmp_path / "broken.svg"
     file.write_text(BROKEN)
     design = l2a.load_design(file)
+    assert isinstance(design, l2a.CellDesign)
     assert design.not_read is not None
     assert "1 path with an error (id='wall', letter 17: 'L x')" in design.not_read
     file.write_text(BROKEN.replace("</svg>", "<path d='M0 0 h1 x'/>" * 9 + "</svg>"))
-    told = l2a.load_design(file).not_read
+    design = l2a.load_design(file)
+    assert isinstance(design, l2a.CellDesign)
+    told = design.not_read
     assert told is not None
     assert "paths with an error" in told
     assert told.count("letter") <= 3
