@@ -265,7 +265,7 @@ def test_policies_of_several_seeds_are_runs_of_one_entry(tmp_path: Path) -> None
     spread = 12.706 * means.std(ddof=1) / np.sqrt(2)  # Student's t of one degree of freedom.
     assert f"| {means.mean():.3f} ± {spread:.3f} (3 x 2) |" in board([entry])
     for wrong in (entry.played[:5], entry.played[3:], entry.played[::-1]):
-        replace(entry, played=wrong).write(path := tmp_path / "wrong.jsonl.gz")
+        replace(entry, played=wrong).write(path := tmp_path / "wrong.jsonl.gz", overwrite=True)
         with pytest.raises(InputError, match="problem"):
             read_submission(path)
     with pytest.raises(InputError, match="know the same"):

@@ -406,6 +406,6 @@ def test_an_entry_is_played_again_and_what_was_tampered_with_is_refused(
     changed = tuple(
         look if a < len(one.actions) and k == 0 else a for k, a in enumerate(one.actions)
     )
-    replace(entry, played=(replace(one, actions=changed),)).write(path)
+    replace(entry, played=(replace(one, actions=changed),)).write(path, overwrite=True)
     assert main(["benchmark", "check", str(path)]) == 2
     assert "problem 0" in capsys.readouterr().err

@@ -272,10 +272,10 @@ def test_a_preview_shows_what_was_drawn_over_the_cells(
     cell, line = (np.abs(image - rgb).sum(-1) < 30 for rgb in ((236, 202, 144), (11, 114, 133)))
     assert cell.sum() > 20_000
     assert line.sum() > 2_000
-    made = l2a.preview("examples/designs/gate.svg", path)
+    made = l2a.preview("examples/designs/gate.svg", path, overwrite=True)
     assert isinstance(made, CellDesign)
     with pytest.raises(InputError, match="a picture of them"):
-        l2a.preview("tests/data/ascii_wall.json", path)
+        l2a.preview("tests/data/ascii_wall.json", path, overwrite=True)
 
 
 @pytest.mark.parametrize(
