@@ -79,9 +79,6 @@ def observation_space(task: Task, actions: str = "flat") -> spaces.Dict:
     return spaces.Dict(parts)
 
 
-# ---------------------------------------------------------------- drawings
-
-
 # ---------------------------------------------------------------- environments
 
 

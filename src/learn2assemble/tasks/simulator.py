@@ -199,9 +199,8 @@ class Simulator:
 
     Args:
         task: the problem distribution, or its name.
-        physics: the check of placements, or its name, see :mod:`learn2assemble.tasks.checkers`;
-        static
-            equilibrium by default, and the kinematic cell where the task has an arm.
+        physics: the check of placements, or its name, see :mod:`learn2assemble.tasks.checkers`; by
+            default static equilibrium, and the kinematic cell where the task has an arm.
 
     Raises:
         UnknownNameError, InputError: see :func:`resolve_checker`.
