@@ -68,6 +68,8 @@ class FakeController(ABC):
         self.host = host
         self.ports: dict[str, int] = {}
         self.lock = threading.RLock()
+        self._taken = set[socket.socket]()
+        """Connections from which something was read that nobody has acted on yet."""
         self.worked = 0.0
         """Seconds of the processor that the cell took."""
         self.begin(Setup(get_arm("ur5e", "suction"), {}, {}))
@@ -154,6 +156,29 @@ class FakeController(ABC):
             np.array(self.tool.force) @ quaternion_matrix(driver_of(self.arm).base[3:])
         ).tolist()
 
+    def comes(self, connection: socket.socket, within: bool = False) -> None:
+        """Wait until there is something to read; what was read before has been acted on.
+
+        What has come lies in the connection or counts as taken, at every moment: so time cannot go
+        on between its arrival and its effect.
+
+        Args:
+            connection: where it comes.
+            within: what was read before is a part of something; the rest is on its way.
+        """
+        if not within:
+            with self.lock:
+                self._taken.discard(connection)
+        select.select([connection], [], [])
+        with self.lock:
+            self._taken.add(connection)
+
+    def gone(self, connection: socket.socket) -> None:
+        """Nothing comes from it any more."""
+        with self.lock:
+            self._taken.discard(connection)
+        connection.close()
+
     def loop(self) -> None:
         """Say again how things are, also while time stands."""
         while True:
@@ -174,9 +199,8 @@ class FakeController(ABC):
         while time.perf_counter() < until:
             with contextlib.suppress(OSError, ValueError):  # One may be closed just now.
                 with self.lock:
-                    sockets = self.open()
-                if not select.select(sockets, [], [], 0)[0]:
-                    break
+                    if not self._taken and not select.select(self.open(), [], [], 0)[0]:
+                        break
             time.sleep(1e-4)
         with self.lock:
             begun = time.thread_time()
@@ -343,8 +367,9 @@ class FakeProcess:
         if self.kind == "ros2":
             from twisted.internet import reactor, threads
 
-            if reactor.running:  # It sends when its turn comes.
-                threads.blockingCallFromThread(reactor, int)
+            if reactor.running:  # In one turn it is told what to send, behind that it sends.
+                for _ in range(2):
+                    threads.blockingCallFromThread(reactor, int)
         said = self.ask("go", seconds=seconds)
         self.time = said["time"]
         return said

@@ -177,6 +177,7 @@ class FakeRosbridge(FakeController):
                 self._open[connection] = set()
             text = b""
             while True:
+                self.comes(connection, within=bool(text))
                 last, code, content = _frame(connection)
                 if code == CLOSE:
                     break
@@ -187,7 +188,7 @@ class FakeRosbridge(FakeController):
                     text = b""
         with self.lock:
             self._open.pop(connection, None)
-        connection.close()
+        self.gone(connection)
 
     def _tell(self, connection: socket.socket, said: dict[str, Any]) -> None:
         self._send(connection, TEXT, json.dumps(said).encode())

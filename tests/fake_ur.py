@@ -4,6 +4,7 @@ let one choose), scripts on a secondary interface, and the dashboard's answer to
 from __future__ import annotations
 
 import contextlib
+import re
 import socket
 import struct
 import sys
@@ -154,7 +155,7 @@ class FakeUr(FakeController):
         with self.lock:
             self._subscribers = [one for one in self._subscribers if one[0] is not connection]
             self._open = [one for one in self._open if one is not connection]
-        connection.close()
+        self.gone(connection)
 
     def cut(self) -> None:
         """All connections break; nobody is let in for a while."""
@@ -166,15 +167,16 @@ class FakeUr(FakeController):
 
     def _script(self, connection: socket.socket) -> None:
         """Programs as text: from ``def`` to an ``end`` in the first column."""
-        with connection.makefile("r", encoding="ascii") as lines:
-            text = ""
-            for line in lines:
-                text += line
-                if line.rstrip() != "end":
-                    continue
+        text = ""
+        while True:
+            self.comes(connection, within=bool(text))
+            part = connection.recv(1 << 16)
+            if not part:
+                return
+            *programs, text = re.split(r"(?<=\nend\n)", text + part.decode("ascii"))
+            for program in programs:
                 with self.lock:
-                    self._take(text)
-                text = ""
+                    self._take(program)
 
     def _take(self, text: str) -> None:
         self.scripts += 1
@@ -205,6 +207,7 @@ class FakeUr(FakeController):
                 connection.sendall(struct.pack("!HB", 3 + len(content), kind) + content)
 
         while True:
+            self.comes(connection)
             size, kind = struct.unpack("!HB", _exactly(connection, 3))
             content = _exactly(connection, size - 3)
             if kind == ord("V"):
