@@ -11,8 +11,10 @@ from learn2assemble.kernels import kernel
 from learn2assemble.tasks.graph.features import Graph, empty_graph, graph_row, node_offset
 from learn2assemble.tasks.graph.placements import distinct_placements
 from learn2assemble.tasks.physics.support import STABLE, UNDECIDED, classify_cube
-from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.simulator import Simulator, WorldTransition, advance, empty_turn
 from learn2assemble.tasks.task import Task
+from learn2assemble.tasks.world.blocks import ActionSpec
+from learn2assemble.tasks.world.coverage import DepthFilter
 from learn2assemble.tasks.world.rules import target_cell
 from learn2assemble.tasks.world.state import State
 
@@ -35,6 +37,8 @@ def num_placement_actions(task: Task) -> int:
     return task.num_actions * half * (task.max_blocks - half)
 
 
+INVALID = -1.0
+"""Reward of an action that is refused, as of an invalid placement."""
 Index = TypeVar("Index", int, np.ndarray)
 """Numbers of actions or nodes."""
 
@@ -140,11 +144,11 @@ def _see(
     object_id: np.ndarray,
     counts: np.ndarray,
     coverage: np.ndarray,
-    legal: np.ndarray,
-    stable: np.ndarray,
+    masks: np.ndarray,
 ) -> int:
     """Graph, coverage and masks of all rows; returns what placements of cubes are undecided."""
     undecided = 0
+    legal, stable = masks[0], masks[1]
     for row in range(len(nodes)):
         graph_row(state, row, frames, nodes, object_id, counts)
         start = state.initial_pixels[row]
@@ -165,6 +169,74 @@ def _see(
                     legal[row, i, targets + j, k] = True
                     stable[row, i, targets + j, k] = found == STABLE
     return undecided
+
+
+@kernel
+def _play(
+    state: State,
+    flat: np.ndarray,
+    rules: tuple[ActionSpec, bool, bool, np.ndarray, DepthFilter, int, float],
+    actions: np.ndarray,
+    clipped: np.ndarray,
+    reward: np.ndarray,
+    happened: np.ndarray,
+    verdict: np.ndarray,
+    scratch: np.ndarray,
+    rotations: int,
+    surveys: bool,
+    nodes: np.ndarray,
+    object_id: np.ndarray,
+    counts: np.ndarray,
+    coverage: np.ndarray,
+    masks: np.ndarray,
+) -> tuple[int, int]:
+    """Resolve flat actions, carry them out and see what there is then; returns how many rows are
+    still to be judged, and how many placements behind that are undecided.
+
+    One call, as handing the state over three times costs more than the work on one world.
+    """
+    _, num_nodes, _, num_actions = masks.shape[1:]
+    _resolve(
+        state.num_vertices,
+        state.num_placed,
+        state.num_blocks,
+        flat,
+        num_nodes,
+        num_actions,
+        actions,
+        clipped,
+    )
+    spec, cubes, decide, frames, depths, kind, threshold = rules
+    left = advance(
+        state,
+        actions,
+        spec,
+        cubes,
+        decide,
+        frames,
+        depths,
+        kind,
+        threshold,
+        reward,
+        happened,
+        verdict,
+        scratch,
+    )
+    undecided = 0
+    if left == 0:
+        undecided = _see(
+            state,
+            frames,
+            spec.pitch,
+            rotations,
+            surveys,
+            nodes,
+            object_id,
+            counts,
+            coverage,
+            masks,
+        )
+    return left, undecided
 
 
 @kernel
@@ -236,6 +308,18 @@ class Seen(NamedTuple):
     """float64[B]: F_pl."""
 
 
+class Played(NamedTuple):
+    """What actions did to B worlds."""
+
+    done: WorldTransition
+    clipped: np.ndarray
+    """bool[B]: the action was an illegal one, and became the nearest legal one."""
+    refused: np.ndarray
+    """bool[B]: the action was padding, so nothing was placed."""
+    seen: Seen | None
+    """What there is to say of the states then; None where nobody has looked yet."""
+
+
 class FlatActions:
     """What the number of an action means: the flat index of the published triple.
 
@@ -247,6 +331,7 @@ class FlatActions:
         self.simulator: Simulator = simulator
         self.task: Task = simulator.task
         self.size: int = num_flat_actions(simulator.task)
+        self._cubes = simulator.task.objects == "cubes"
 
     def see(self, state: State, surveys: bool) -> Seen:
         """What there is to say of a state; everything else is asked of the one seen last.
@@ -254,36 +339,63 @@ class FlatActions:
         Args:
             surveys: whether it is said what static physics lets stand.
         """
-        task, batch, n = self.task, state.batch_size, self.task.num_nodes
-        nodes, object_id, counts = empty_graph(batch, n)
-        coverage, compiled = np.empty((2, batch)), surveys and task.objects == "cubes"
-        masks = np.zeros((2, batch, n, n, task.num_actions), np.bool_)
-        # Indexed, as taking an array apart costs as much as the compiled call.
-        legal, stable = masks[0], masks[1]
+        task, sight = self.task, self._sight(state.batch_size)
         undecided = _see(
             state,
             self.simulator.frames,
             task.pitch,
             task.rotations,
-            compiled,
-            nodes,
-            object_id,
-            counts,
-            coverage,
-            legal,
-            stable,
+            surveys and self._cubes,
+            *sight,
         )
-        flat = stable.reshape(batch, -1)
-        if surveys and (undecided or not compiled):
-            flat = expand_mask(task, state, self.simulator.physics_mask(state))
-        graph = Graph(nodes, object_id, counts[0], counts[1], counts[2])
-        return Seen(graph, legal.reshape(batch, -1), flat, coverage[0], coverage[1])
+        return self._seen(state, sight, undecided, surveys)
 
-    def resolve(self, state: State, numbers: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Actions int64[B, 3] for :meth:`Simulator.step`; bool[B], which were clipped; and
-        bool[B], which are refused: none."""
-        actions, clipped = resolve_actions(self.task, state, numbers)
-        return actions, clipped, np.zeros(len(numbers), np.bool_)
+    def _sight(self, batch: int) -> tuple[np.ndarray, ...]:
+        """Arrays that are seen: graph, coverage and masks."""
+        n = self.task.num_nodes
+        masks = np.zeros((2, batch, n, n, self.task.num_actions), np.bool_)
+        return *empty_graph(batch, n), np.empty((2, batch)), masks
+
+    def _seen(
+        self, state: State, sight: tuple[np.ndarray, ...], undecided: int, surveys: bool
+    ) -> Seen:
+        nodes, object_id, counts, coverage, masks = sight
+        flat = masks.reshape(2, len(nodes), -1)
+        # Indexed, as taking an array apart costs as much as the compiled call.
+        legal, stable = flat[0], flat[1]
+        if surveys and (undecided or not self._cubes):
+            stable = expand_mask(self.task, state, self.simulator.physics_mask(state))
+        graph = Graph(nodes, object_id, counts[0], counts[1], counts[2])
+        return Seen(graph, legal, stable, coverage[0], coverage[1])
+
+    def play(self, state: State, numbers: np.ndarray, surveys: bool) -> Played:
+        """Carry out an action in every world, in place.
+
+        Args:
+            numbers: int64[B].
+            surveys: whether it is said what static physics lets stand then.
+        """
+        simulator, batch = self.simulator, len(numbers)
+        refused = np.zeros(batch, np.bool_)
+        if not simulator.decides:
+            actions, clipped = resolve_actions(self.task, state, numbers)
+            return Played(simulator.step(state, actions), clipped, refused, None)
+        actions, clipped = np.empty((batch, 3), np.int64), np.empty(batch, np.bool_)
+        turn, sight = empty_turn(batch), self._sight(batch)
+        left, undecided = _play(
+            state,
+            numbers,
+            simulator.rules,
+            actions,
+            clipped,
+            *turn,
+            self.task.rotations,
+            surveys and self._cubes,
+            *sight,
+        )
+        done = simulator.finish(state, turn, left)
+        seen = None if left else self._seen(state, sight, undecided, surveys)
+        return Played(done, clipped, refused, seen)
 
 
 class PlacementActions:
@@ -323,11 +435,16 @@ class PlacementActions:
         _middles(found.cells, found.members, found.count, out)
         return out
 
-    def resolve(self, state: State, numbers: np.ndarray) -> tuple[np.ndarray, ...]:
-        """As :meth:`FlatActions.resolve`; none is clipped, and the padding is refused."""
-        refused = numbers >= self._found.count
-        chosen = self._local[np.arange(len(numbers)), np.where(refused, 0, numbers)]
-        return chosen, np.zeros(len(numbers), np.bool_), refused
+    def play(self, state: State, numbers: np.ndarray, surveys: bool) -> Played:
+        """As :meth:`FlatActions.play`, of what was seen last; none is clipped, and the padding is
+        refused, which ends an episode as an invalid placement does."""
+        padding = numbers >= self._found.count
+        chosen = self._local[np.arange(len(numbers)), np.where(padding, 0, numbers)]
+        refused = padding & ~state.terminated
+        state.terminated[refused] = True
+        done = self.simulator.step(state, chosen)
+        done.reward[refused], done.terminated[refused] = INVALID, True
+        return Played(done, np.zeros(len(numbers), np.bool_), refused, None)
 
 
 ACTION_SPACES: dict[str, type[FlatActions] | type[PlacementActions]] = {

@@ -41,8 +41,6 @@ WAITING_REACH = 1.25
 MOST_ENVS = 100_000
 """Worlds stepped at once."""
 RENDER_MODES = ("ansi", "rgb_array")
-INVALID = -1.0
-"""Reward of an action that is refused, as of an invalid placement."""
 REFUSED = "REFUSED"
 """Verdict on an action that is refused."""
 _VERDICTS = {verdict.value: verdict.name for verdict in PlacementVerdict}
@@ -124,13 +122,10 @@ class _Worlds:
 
     def _place(self, flat: ArrayLike) -> tuple[WorldTransition, list[dict[str, Any]]]:
         """Step every world that has not ended; what happened, and what infos say of it."""
-        self.look()
-        actions, clipped, refused = self.numbering.resolve(self.state, self._checked(flat))
-        refused &= ~self.state.terminated
-        self.state.terminated[refused] = True
-        done = self.simulator.step(self.state, actions)
-        self._seen = None
-        done.reward[refused], done.terminated[refused] = INVALID, True
+        numbers, mask = self._checked(flat), self._physics_mask
+        if self._seen is None:
+            self.look()
+        done, clipped, refused, self._seen = self.numbering.play(self.state, numbers, mask)
         self._ended = done.terminated
         columns = done.verdict, done.success, clipped, refused
         return done, [

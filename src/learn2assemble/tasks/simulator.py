@@ -62,6 +62,29 @@ class WorldTransition(NamedTuple):
     """int8[B] of `physics.protocol.PlacementVerdict`."""
 
 
+class Turn(NamedTuple):
+    """What :func:`advance` writes into; few arrays, as each costs where one world is stepped."""
+
+    reward: np.ndarray
+    """float64[B]."""
+    happened: np.ndarray
+    """bool[2, B]: whether it has ended; success."""
+    verdict: np.ndarray
+    """int8[B]."""
+    rows: np.ndarray
+    """int64[3, B]: plane-filtered cover before; rows still to be judged; rows that were."""
+
+
+def empty_turn(batch: int) -> Turn:
+    """Nothing has happened yet."""
+    return Turn(
+        np.zeros(batch),
+        np.zeros((2, batch), np.bool_),
+        np.zeros(batch, np.int8),
+        np.empty((3, batch), np.int64),
+    )
+
+
 @kernel
 def _propose_cubes(
     state: State, actions: np.ndarray, rotations: int, pitch: float, previous: np.ndarray
@@ -119,7 +142,7 @@ def _score(
 
 
 @kernel
-def _advance(
+def advance(
     state: State,
     actions: np.ndarray,
     spec: ActionSpec,
@@ -130,19 +153,22 @@ def _advance(
     kind: int,
     threshold: float,
     reward: np.ndarray,
-    ended: np.ndarray,
-    success: np.ndarray,
+    happened: np.ndarray,
     verdict: np.ndarray,
-    previous: np.ndarray,
-    pending: np.ndarray,
-    scored: np.ndarray,
+    rows: np.ndarray,
 ) -> int:
     """Put one object into every row that has not ended.
 
     One call, as handing the state to compiled code costs as much as a step of one world. Where the
     rules of static physics are asked for and ``decide``, a row is scored at once; the others are
-    ``pending``, and their number is returned.
+    pending, and their number is returned.
+
+    Args:
+        spec, cubes, decide, frames, depths, kind, threshold: :attr:`Simulator.rules`.
+        reward, happened, verdict, rows: a :class:`Turn`.
     """
+    ended, success = happened
+    previous, pending, scored = rows
     if cubes:
         _propose_cubes(state, actions, len(spec.turns), spec.pitch, previous)
     else:
@@ -226,10 +252,18 @@ class Simulator:
             self.depths,
             task.normalise_initial,
         )
-        self._decides = type(self.physics) is StaticPhysics
+        self.decides: bool = type(self.physics) is StaticPhysics
         """Whether the compiled rules decide, where they can."""
-        kind, threshold = REWARDS[task.reward], task.success_threshold
-        self._rules = self._decides, self.frames, self.depths, kind, threshold
+        self.rules: tuple[ActionSpec, bool, bool, np.ndarray, DepthFilter, int, float] = (
+            self.action_spec,
+            task.objects == "cubes",
+            self.decides,
+            self.frames,
+            self.depths,
+            REWARDS[task.reward],
+            task.success_threshold,
+        )
+        """What :func:`advance` is told besides the state."""
 
     def empty(self, batch: int) -> State:
         """A state for ``batch`` worlds; reset its rows before use."""
@@ -270,42 +304,21 @@ class Simulator:
             actions: int64[B, 3]: number of the unplaced block, number of the placed reference
                 block (both counted within their group), relative action. They must be legal.
         """
-        batch = state.batch_size
-        if not self._decides:
+        if not self.decides:
             self.physics.prepare(state, np.flatnonzero(~state.terminated), actions)
-        reward, ended = np.zeros(batch), np.zeros(batch, np.bool_)
-        success, verdict = np.zeros(batch, np.bool_), np.zeros(batch, np.int8)
-        scratch = np.empty((3, batch), np.int64)
-        previous, pending, scored = scratch[0], scratch[1], scratch[2]
-        results = reward, ended, success
-        cubes = self.task.objects == "cubes"
-        left = _advance(
-            state,
-            actions,
-            self.action_spec,
-            cubes,
-            *self._rules,
-            *results,
-            verdict,
-            previous,
-            pending,
-            scored,
-        )
-        if left or not self._decides:
-            rows, (_, frames, depths, kind, threshold) = pending[:left], self._rules
+        turn = empty_turn(state.batch_size)
+        return self.finish(state, turn, advance(state, actions, *self.rules, *turn))
+
+    def finish(self, state: State, turn: Turn, left: int) -> WorldTransition:
+        """What a step did, once the physics has judged those rows that :func:`advance` left."""
+        reward, happened, verdict, scratch = turn
+        ended, success = happened[0], happened[1]
+        if left or not self.decides:
+            previous, rows = scratch[0], scratch[1, :left]
+            _, _, _, frames, depths, kind, threshold = self.rules
             verdict[rows] = self.physics.settle(state, rows)
-            _score(
-                state,
-                rows,
-                verdict,
-                frames,
-                depths,
-                previous,
-                self.physics.moves_blocks,
-                kind,
-                threshold,
-                *results,
-            )
+            moves, results = self.physics.moves_blocks, (reward, ended, success)
+            _score(state, rows, verdict, frames, depths, previous, moves, kind, threshold, *results)
         return WorldTransition(reward, ended, success, verdict)
 
     def random_actions(self, state: State, rng: np.random.Generator) -> np.ndarray:
