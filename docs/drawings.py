@@ -42,14 +42,14 @@ def _panel(width: float = 8.0, height: float = 2.6) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def _chart(width: float = 8.0, height: float = 3.0) -> tuple[Figure, Axes]:
-    """A drawing with axes."""
+def _chart(width: float = 8.0, height: float = 3.0, count: int = 1) -> tuple[Figure, Axes]:
+    """A drawing with axes, one below the other where there are several; the first of them."""
     figure = Figure(figsize=(width, height), layout="constrained")
-    axes = figure.add_subplot()
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color(LINE)
-    axes.tick_params(colors=SOFT)
-    return figure, axes
+    for axes in figure.subplots(count, 1, squeeze=False, height_ratios=(2, 1)[:count]).flat:
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.spines[["left", "bottom"]].set_color(LINE)
+        axes.tick_params(colors=SOFT)
+    return figure, figure.axes[0]
 
 
 def _box(axes: Axes, x: float, y: float, words: str, width: float = 1.5, tone: str = FILL) -> None:
@@ -261,9 +261,10 @@ def _scores() -> dict[str, list[float]]:
 
 
 def scores() -> Figure:
-    """The board as bars."""
+    """The board as bars, and how the baseline that trains on the spot learns."""
     found = _scores()
-    figure, axes = _chart(8, 3.4)
+    figure, axes = _chart(9, 5.6, 2)
+    _curves(figure.axes[1])
     for k, (name, tone) in enumerate((("two elevations", ACCENT), ("tight heaps", WARM))):
         values = [one[k] for one in found.values()]
         axes.barh(np.arange(len(values)) + 0.2 - 0.4 * k, values, 0.36, color=tone, label=name)
@@ -274,6 +275,17 @@ def scores() -> Figure:
         frameon=False, labelcolor=INK, loc="upper right", bbox_to_anchor=(1.0, 1.12), ncol=2
     )
     return figure
+
+
+def _curves(axes: Axes) -> None:
+    """Returns of MaskablePPO while it trains, of every seed."""
+    with (ROOT / "results" / "benchmark" / "maskable-ppo.csv").open(encoding="utf-8") as stream:
+        lines = list(csv.DictReader(stream))
+    for seed in sorted({one["seed"] for one in lines}):
+        told = [(int(r["steps"]), float(r["return"])) for r in lines if r["seed"] == seed]
+        axes.plot(*np.transpose(told), color=ACCENT, lw=0.9, alpha=0.7)
+    axes.set_xlabel("steps of training, MaskablePPO, five seeds", color=SOFT)
+    axes.set_ylabel("return, not discounted", color=SOFT)
 
 
 def tables() -> Figure:
@@ -361,7 +373,10 @@ DRAWINGS: dict[str, Draw] = {
 PAGES = {
     "architecture.md": ("rooms", "The rooms of the code; imports point down"),
     "arms.md": ("gallery/panda", "What a Panda has built"),
-    "benchmark.md": ("scores", "Share of the bound on two elevations and on tight heaps, by entry"),
+    "benchmark.md": (
+        "scores",
+        "Share of the bound on two elevations and on tight heaps, by entry; returns of MaskablePPO",
+    ),
     "bricks.md": ("gallery/lego_dome", "A hollow dome of LEGO"),
     "building.md": ("gallery/house", "A gabled house of bricks and lintels"),
     "commands.md": ("flow", "From a drawing to a robot"),

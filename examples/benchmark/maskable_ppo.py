@@ -4,9 +4,11 @@
 
 About a minute for 50,000 steps of a seed: it trains on random problems of a task, and plays some
 of the benchmark. Actions are distinct placements, masked to those that would stand. Policies of
-several seeds are runs of one entry; a line of the curve is printed every 2,048 steps.
+several seeds are runs of one entry. Their curves, a line every 2,048 steps, go into
+``maskable-ppo.csv`` beside it.
 """
 
+import csv
 import sys
 from pathlib import Path
 
@@ -47,16 +49,17 @@ class StandingOnly(gymnasium.Wrapper):
 
 
 class Curve(BaseCallback):
-    """Tells the mean return of the last 50 episodes every so often."""
+    """Keeps the mean return of the last 50 episodes every so often."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, seed: int) -> None:
         super().__init__()
-        self.name = name
+        self.seed = seed
 
     def _on_step(self) -> bool:
         if self.n_calls % 2048 == 0:
-            returns = [one["r"] for one in self.model.ep_info_buffer]
-            print(f"{self.name}: {self.n_calls} steps, return {np.mean(returns):.2f}")
+            found = np.mean([one["r"] for one in self.model.ep_info_buffer])
+            curves.append((self.seed, self.n_calls, round(float(found), 3)))
+            print(f"seed {self.seed}: {self.n_calls} steps, return {found:.2f}", flush=True)
         return True
 
 
@@ -68,7 +71,7 @@ class Learned:
         self.model = MaskablePPO(
             "MultiInputPolicy", env, n_steps=512, batch_size=128, seed=seed, stats_window_size=50
         )
-        self.model.learn(steps, callback=Curve(f"seed {seed}"))
+        self.model.learn(steps, callback=Curve(seed))
 
     def __call__(self, observation: dict, info: dict) -> int:
         action, _ = self.model.predict(observation, action_masks=standing(info), deterministic=True)
@@ -76,9 +79,14 @@ class Learned:
 
 
 file, *given = sys.argv[1:]
-check_new(Path(file), "FILE")  # Before hours of training.
+beside = Path(file).with_name(Path(file).name.partition(".")[0] + ".csv")
+for path in Path(file), beside:
+    check_new(path, "FILE")  # Before hours of training.
+curves: list[tuple[int, int, float]] = []
 steps, seeds = (*map(int, given), *(10_000, 1)[len(given) :])
 policies = [Learned(seed, steps) for seed in range(seeds)]
 entry = enter(policies, f"MaskablePPO ({steps} steps)", tasks=[TASK], problems=PROBLEMS)
 print(board([entry]))
 entry.write(file)
+with beside.open("w", newline="") as rows:
+    csv.writer(rows).writerows([("seed", "steps", "return"), *curves])
