@@ -17,7 +17,6 @@ way there: its *detour*.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -107,14 +106,9 @@ def make_problem(goals: Goals) -> GoalProblem:
 def legal(problem: GoalProblem, world: LatticeWorld) -> np.ndarray:
     """int64[m]: candidates that nothing covers and whose centroid has something that carries on
     every side; the whole structure may still fall."""
-    return _legal(
-        world.owner,
-        world.alive,
-        problem.bed_start,
-        problem.bed,
-        problem.centre,
-        np.array(problem.goals.shape),
-    )
+    x, y, z = problem.goals.shape
+    beds = problem.bed_start, problem.bed
+    return _legal(world.owner, world.alive, beds, problem.centre, (x, y, z))
 
 
 def put(world: LatticeWorld, candidate: int, program: bool = True) -> LatticeWorld | None:
@@ -138,78 +132,19 @@ def relax(problem: GoalProblem, world: LatticeWorld, price: np.ndarray | None = 
     Args:
         price: of the state before, to begin with.
     """
-    site, goals = problem.site, unmet(problem, world)
-    price = np.zeros(len(world.heap)) if price is None else price.copy()
-    best = _estimated(problem, world, goals, problem.heavy, price)
-    if np.isinf(best.blocks) and problem.goals.loads:
-        best = _estimated(problem, world, goals, problem.centre, price)
-    for _ in range(PRICE_ROUNDS if np.isfinite(best.blocks) else 0):
-        taken = np.bincount(site.kind[best.used], minlength=len(price))
-        over = (world.heap >= 0) & (taken > world.heap)
-        if not over.any():
-            break
-        price[over] += PRICE
-        other = _estimated(problem, world, goals, problem.heavy, price)
-        if np.isinf(other.blocks):
-            break
-        best = other
-    detour = best.cost
-    if np.isfinite(best.blocks):
-        # Only those of the last prices are asked for.
-        detour = _detours(
-            world.alive,
-            problem.order,
-            (site.found.start, site.found.cell, problem.bed_start, problem.bed),
-            goals,
-            (best.own, best.cost, best.need),
-            site.wanted.shape[2],
-        )
-    return Relaxed(float(best.blocks), best.used, best.cost, detour, price)
-
-
-class _Estimate(NamedTuple):
-    """A relaxed plan at given prices."""
-
-    blocks: float
-    used: np.ndarray
-    cost: np.ndarray
-    """See :class:`Relaxed`."""
-    need: np.ndarray
-    """float64[cells, 4]: what it takes to fill a cell, it and its neighbour in x, in y, or the
-    square of four."""
-    own: np.ndarray
-    """float64[n]: what each candidate costs alone."""
-
-
-def _estimated(
-    problem: GoalProblem,
-    world: LatticeWorld,
-    goals: np.ndarray,
-    heavy: np.ndarray,
-    price: np.ndarray,
-) -> _Estimate:
     site, found = problem.site, problem.site.found
     x, y, z = site.wanted.shape
-    own = 1 + price[site.kind]
+    price = np.zeros(len(world.heap)) if price is None else price.copy()
     plan = _relax(
-        world.owner,
-        world.alive,
+        (world.owner, world.alive, world.heap),
+        price,
         problem.order,
-        found.start,
-        found.cell,
-        problem.beside,
-        problem.bed_start,
-        problem.bed,
-        problem.centre,
-        heavy,
-        found.origin,
-        goals,
-        site.over_start,
-        site.over,
-        own,
+        (found.start, found.cell, problem.bed_start, problem.bed),
+        (problem.beside, problem.centre, problem.heavy, found.origin, site.kind),
+        (unmet(problem, world), site.over_start, site.over),
         (x, y, z),
     )
-    return _Estimate(*plan, own)
+    return Relaxed(*plan, price)
 
 
 # ---------------------------------------------------------------- compiled
@@ -219,12 +154,11 @@ def _estimated(
 def _legal(
     owner: np.ndarray,
     alive: np.ndarray,
-    bed_start: np.ndarray,
-    bed: np.ndarray,
+    beds: tuple[np.ndarray, np.ndarray],
     centre: np.ndarray,
-    shape: np.ndarray,
+    shape: tuple[int, int, int],
 ) -> np.ndarray:
-    step_x, step_y = shape[1] * shape[2], shape[2]
+    (bed_start, bed), step_x, step_y = beds, shape[1] * shape[2], shape[2]
     found = np.empty(len(alive), np.int64)
     count = 0
     for k in range(len(alive)):
@@ -273,16 +207,62 @@ def _beside(start: np.ndarray, cell: np.ndarray, step_x: int, step_y: int) -> np
     return found
 
 
-@kernel(inline="always")
-def _keep(least: np.ndarray, at: np.ndarray, k: int, value: float, cell: int) -> None:
-    """The cheapest so far of one kind, and its cell."""
-    if value < least[k]:
-        least[k], at[k] = value, cell
+_State = tuple[np.ndarray, np.ndarray, np.ndarray]
+_Place = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+_About = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+_Shape = tuple[int, int, int]
+
+
+@kernel
+def _relax(
+    state: _State,
+    price: np.ndarray,
+    order: np.ndarray,
+    place: _Place,
+    about: _About,
+    goals: _State,
+    shape: _Shape,
+) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+    """Fields of :class:`Relaxed`; ``price`` is raised in place.
+
+    Args:
+        state: ``owner``, ``alive`` and ``heap`` of a world.
+        place: cells of candidates and their lowest cells, as the site and the problem have them.
+        about: ``beside``, ``centre`` and ``heavy`` of the problem, origins and kinds of candidates.
+        goals: flat cells, and ``over_start`` and ``over`` of the site.
+    """
+    heap, (beside, centre, _, origin, kind) = state[2], about
+    best = _estimate(state, price, order, place, about, goals, shape)
+    if np.isinf(best[0]):
+        alone = beside, centre, centre, origin, kind
+        best = _estimate(state, price, order, place, alone, goals, shape)
+    if np.isinf(best[0]):
+        return best[0], best[1], best[2], best[2]
+    paid = price.copy()
+    for _ in range(PRICE_ROUNDS):
+        taken, dearer = np.zeros(len(heap), np.int64), False
+        for k in range(len(kind)):
+            taken[kind[k]] += best[1][k]
+        for k in range(len(heap)):
+            if 0 <= heap[k] < taken[k]:
+                price[k] += PRICE
+                dearer = True
+        if not dearer:
+            break
+        other = _estimate(state, price, order, place, about, goals, shape)
+        if np.isinf(other[0]):
+            break
+        best, paid = other, price.copy()
+    # Only those at the last prices are asked for.
+    blocks, used, cost, need = best
+    return blocks, used, cost, _detours(paid, order, place, kind, goals[0], cost, need, shape[2])
 
 
 @kernel(forceinline=True)
 def _support(
-    work: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    need: np.ndarray,
+    bed: np.ndarray,
+    column: np.ndarray,
     first: int,
     last: int,
     cx: float,
@@ -294,14 +274,14 @@ def _support(
     """What it takes to carry a centroid (cx, cy); row k of ``ref_*`` becomes the supports.
 
     Args:
-        work: ``need`` and ``bed``, x and y of every cell, and float64[8] and int64[8] to write to:
-            making them here takes as long as the rest.
+        column: int64[cells, 2]: x and y of every cell.
     """
-    need, bed, column, least, at = work
     big = best = 1e9
     for n in range(4):
         ref_kind[k, n] = -1
-        least[n], at[n] = big, 0
+    # Numbers, not arrays: these stay in registers.
+    left = right = front = back = big
+    at_left = at_right = at_front = at_back = 0
     # The cell below the centroid; two of them, or four, where it is over an edge.
     ex = 1 if abs(cx - np.rint(cx)) < 1e-6 else 0
     ey = 1 if abs(cy - np.rint(cy)) < 1e-6 else 0
@@ -315,73 +295,71 @@ def _support(
             continue
         x, y = column[below, 0], column[below, 1]
         if y == b_y:
-            if x == bx and need[below, ex + 2 * ey] < best:
-                best = need[below, ex + 2 * ey]
+            value = need[below, ex + 2 * ey]
+            if x == bx and value < best:
+                best = value
                 ref_kind[k, 0], ref_cell[k, 0] = ex + 2 * ey, below
-            if x < bx + ex:
-                _keep(least, at, 0, need[below, 2 * ey], below)
-            if x > bx:
-                _keep(least, at, 1, need[below, 2 * ey], below)
+            value = need[below, 2 * ey]
+            if x < bx + ex and value < left:
+                left, at_left = value, below
+            if x > bx and value < right:
+                right, at_right = value, below
         if x == bx:
-            if y < b_y + ey:
-                _keep(least, at, 2, need[below, ex], below)
-            if y > b_y:
-                _keep(least, at, 3, need[below, ex], below)
-    for axis in range(2):
-        value = least[2 * axis] + least[2 * axis + 1]
-        if value < best:
-            best = value
-            for n in range(2):
-                ref_kind[k, n] = 2 * ey if axis == 0 else ex
-                ref_cell[k, n] = at[2 * axis + n]
+            value = need[below, ex]
+            if y < b_y + ey and value < front:
+                front, at_front = value, below
+            if y > b_y and value < back:
+                back, at_back = value, below
+    if left + right < best:
+        best = left + right
+        ref_kind[k, 0], ref_cell[k, 0] = 2 * ey, at_left
+        ref_kind[k, 1], ref_cell[k, 1] = 2 * ey, at_right
+    if front + back < best:
+        best = front + back
+        ref_kind[k, 0], ref_cell[k, 0] = ex, at_front
+        ref_kind[k, 1], ref_cell[k, 1] = ex, at_back
     if best < big:
         return best
     # Anywhere on these sides.
-    for n in range(4, 8):
-        least[n], at[n] = big, 0
+    left = right = front = back = big
     for j in range(first, last):
         below = bed[j] - 1
         x, y, value = column[below, 0], column[below, 1], need[below, 0]
-        if x < bx + 1:
-            _keep(least, at, 4, value, below)
-        if x >= bx + ex:
-            _keep(least, at, 5, value, below)
-        if y < b_y + 1:
-            _keep(least, at, 6, value, below)
-        if y >= b_y + ey:
-            _keep(least, at, 7, value, below)
-    worst = max(least[4], least[5], least[6], least[7])
+        if x < bx + 1 and value < left:
+            left, at_left = value, below
+        if x >= bx + ex and value < right:
+            right, at_right = value, below
+        if y < b_y + 1 and value < front:
+            front, at_front = value, below
+        if y >= b_y + ey and value < back:
+            back, at_back = value, below
+    worst = max(left, right, front, back)
     if worst < big:
         best = worst + 1.0
-        for n in range(4):
-            ref_kind[k, n], ref_cell[k, n] = 0, at[4 + n]
+        for n, at in enumerate((at_left, at_right, at_front, at_back)):
+            ref_kind[k, n], ref_cell[k, n] = 0, at
     return best
 
 
 @kernel
-def _relax(
-    owner: np.ndarray,
-    alive: np.ndarray,
+def _estimate(
+    state: _State,
+    price: np.ndarray,
     order: np.ndarray,
-    start: np.ndarray,
-    cell: np.ndarray,
-    beside: np.ndarray,
-    bed_start: np.ndarray,
-    bed: np.ndarray,
-    centre: np.ndarray,
-    heavy: np.ndarray,
-    origin: np.ndarray,
-    goals: np.ndarray,
-    over_start: np.ndarray,
-    over: np.ndarray,
-    own: np.ndarray,
-    shape: tuple[int, int, int],
+    place: _Place,
+    about: _About,
+    goals: _State,
+    shape: _Shape,
 ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+    """Blocks, ``used`` and ``cost`` of the relaxed plan at given prices, and what it takes to fill
+    a cell, it and its neighbour in x, in y, or the square of four (float64[cells, 4])."""
+    owner, alive, _ = state
+    start, cell, bed_start, bed = place
+    beside, centre, heavy, origin, kinds = about
     size_x, size_y, size_z = shape
     step_x, step_y = size_y * size_z, size_z
     count, cells = len(alive), len(owner)
     big = 1e9
-    # What it takes to fill a cell, it and its neighbour in x, in y, or the square of four.
     need = np.full((cells, 4), big)
     by = np.empty((cells, 4), np.int64)
     column = np.empty((cells, 2), np.int64)
@@ -404,7 +382,6 @@ def _relax(
     cost = np.full(count, big)
     # A row for every candidate, and one to try in. Only those with a cost are read.
     ref_kind, ref_cell = np.empty((count + 1, 4), np.int64), np.empty((count + 1, 4), np.int64)
-    work = need, bed, column, np.empty(8), np.empty(8, np.int64)
     k: int
     for k in order:
         if not alive[k]:
@@ -416,10 +393,10 @@ def _relax(
         else:
             first, last = bed_start[k], bed_start[k + 1]
             x, y = centre[k, 0], centre[k, 1]
-            best = _support(work, first, last, x, y, ref_kind, ref_cell, k)
+            best = _support(need, bed, column, first, last, x, y, ref_kind, ref_cell, k)
             if best < big and (heavy[k, 0] != x or heavy[k, 1] != y):
                 x, y = heavy[k, 0], heavy[k, 1]
-                more = _support(work, first, last, x, y, ref_kind, ref_cell, count)
+                more = _support(need, bed, column, first, last, x, y, ref_kind, ref_cell, count)
                 if more > best:
                     best = more
                     for n in range(4):
@@ -427,7 +404,7 @@ def _relax(
         if best >= big:
             continue
         # Of equally dear ones the largest, on which most can lie.
-        total = best + own[k] - 1e-4 * (start[k + 1] - start[k])
+        total = best + (1.0 + price[kinds[k]]) - 1e-4 * (start[k + 1] - start[k])
         cost[k] = total
         for j in range(start[k], start[k + 1]):
             c = cell[j]
@@ -441,15 +418,15 @@ def _relax(
             if right and back and both and total < need[c, 3]:
                 need[c, 3], by[c, 3] = total, k
     used = np.zeros(count, np.bool_)
-    for c in goals:
+    covered, wanted = np.zeros(cells, np.bool_), np.zeros(cells, np.bool_)
+    cells_of_goals, over_start, over = goals
+    for c in cells_of_goals:
+        wanted[c] = True
         if need[c, 0] >= big:
             return np.inf, used, cost, need
-    covered, wanted = np.zeros(cells, np.bool_), np.zeros(cells, np.bool_)
-    for c in goals:
-        wanted[c] = True
     queue = np.empty(count + 1, np.int64)
     blocks = 0.0
-    for goal in goals:
+    for goal in cells_of_goals:
         if covered[goal]:
             continue
         chosen, least = -1, big
@@ -489,21 +466,17 @@ def _relax(
 
 @kernel
 def _detours(
-    alive: np.ndarray,
+    price: np.ndarray,
     order: np.ndarray,
-    place: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    place: _Place,
+    kind: np.ndarray,
     goals: np.ndarray,
-    plan: tuple[np.ndarray, np.ndarray, np.ndarray],
+    cost: np.ndarray,
+    need: np.ndarray,
     levels: int,
 ) -> np.ndarray:
-    """From above: what it takes by a candidate beyond the cheapest way to the same goal.
-
-    Args:
-        place: cells of candidates and their lowest cells, as the site and the problem have them.
-        plan: ``own``, ``cost`` and ``need`` of the relaxed plan.
-    """
+    """From above: what it takes by a candidate beyond the cheapest way to the same goal."""
     start, cell, bed_start, bed = place
-    own, cost, need = plan
     big = 1e9
     wanted = np.zeros(len(need), np.bool_)
     for c in goals:
@@ -512,7 +485,7 @@ def _detours(
     detour = np.full(len(order), big)
     for i in range(len(order) - 1, -1, -1):
         k = order[i]
-        if not alive[k] or cost[k] >= big:
+        if cost[k] >= big:
             continue
         least = big
         for j in range(start[k], start[k + 1]):
@@ -522,5 +495,5 @@ def _detours(
         for j in range(bed_start[k], bed_start[k + 1]):
             c = bed[j]
             if c % levels:
-                ahead[c - 1] = min(ahead[c - 1], least + own[k])
+                ahead[c - 1] = min(ahead[c - 1], least + (1.0 + price[kind[k]]))
     return detour
