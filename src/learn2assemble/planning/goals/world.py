@@ -207,21 +207,20 @@ def _beside(start: np.ndarray, cell: np.ndarray, step_x: int, step_y: int) -> np
     return found
 
 
-_State = tuple[np.ndarray, np.ndarray, np.ndarray]
-_Place = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-_About = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-_Shape = tuple[int, int, int]
+_Three = tuple[np.ndarray, np.ndarray, np.ndarray]
+_Four = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+_Five = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 @kernel
 def _relax(
-    state: _State,
+    state: _Three,
     price: np.ndarray,
     order: np.ndarray,
-    place: _Place,
-    about: _About,
-    goals: _State,
-    shape: _Shape,
+    place: _Four,
+    about: _Five,
+    goals: _Three,
+    shape: tuple[int, int, int],
 ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
     """Fields of :class:`Relaxed`; ``price`` is raised in place.
 
@@ -234,7 +233,7 @@ def _relax(
     heap, (beside, centre, _, origin, kind) = state[2], about
     best = _estimate(state, price, order, place, about, goals, shape)
     if np.isinf(best[0]):
-        alone = beside, centre, centre, origin, kind
+        alone = beside, centre, centre, origin, kind  # Loads are forgotten.
         best = _estimate(state, price, order, place, alone, goals, shape)
     if np.isinf(best[0]):
         return best[0], best[1], best[2], best[2]
@@ -343,13 +342,13 @@ def _support(
 
 @kernel
 def _estimate(
-    state: _State,
+    state: _Three,
     price: np.ndarray,
     order: np.ndarray,
-    place: _Place,
-    about: _About,
-    goals: _State,
-    shape: _Shape,
+    place: _Four,
+    about: _Five,
+    goals: _Three,
+    shape: tuple[int, int, int],
 ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
     """Blocks, ``used`` and ``cost`` of the relaxed plan at given prices, and what it takes to fill
     a cell, it and its neighbour in x, in y, or the square of four (float64[cells, 4])."""
@@ -468,7 +467,7 @@ def _estimate(
 def _detours(
     price: np.ndarray,
     order: np.ndarray,
-    place: _Place,
+    place: _Four,
     kind: np.ndarray,
     goals: np.ndarray,
     cost: np.ndarray,
