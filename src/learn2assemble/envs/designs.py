@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 from learn2assemble.errors import InputError, is_whole
 from learn2assemble.planning.goals.loads import bears
 from learn2assemble.planning.goals.search import Search
-from learn2assemble.planning.goals.world import GoalProblem, legal, make_problem, put, relax
+from learn2assemble.planning.goals.world import (
+    GoalProblem,
+    Relaxed,
+    legal,
+    make_problem,
+    put,
+    relax,
+)
 from learn2assemble.planning.tiling.world import LatticeWorld
 from learn2assemble.tasks import design_features, goal_features
 from learn2assemble.tasks.designs import Solved, make_design
@@ -104,9 +111,10 @@ class _CandidateEnv(gymnasium.Env[dict[str, Any], np.int64]):
     def _observe(self, world: LatticeWorld) -> dict[str, Any]:
         """Offer the cheapest candidates, and describe them."""
         candidates, cost = self._candidates(world)
-        new = ~np.isin(candidates, list(self._fallen))
-        cheapest = np.argsort(cost[new], kind="stable")[: self._most]
-        self._offered = candidates[new][cheapest]
+        if self._fallen:
+            new = ~np.isin(candidates, list(self._fallen))
+            candidates, cost = candidates[new], cost[new]
+        self._offered = candidates[np.argsort(cost, kind="stable")[: self._most]]
         rows, summary = self._describe(world)
         padded = np.zeros((self._most, rows.shape[1]), np.float32)
         padded[: len(rows)] = np.clip(rows, -_MOST, _MOST)
@@ -240,12 +248,27 @@ class GoalsEnv(_CandidateEnv):
         self.problem: GoalProblem = make_problem(fixed_goals(self.task.goals))
         self._look = Search(self.problem)
         super().__init__(self.task.max_candidates, goal_features, render_mode)
+        # Every episode begins with the same world: what it takes is found once.
+        self._begun: Relaxed = relax(self.problem, LatticeWorld(self.problem.site))
+        self._relaxed = self._begun
+        self._start = self._begun.blocks
+        self._first: tuple[dict[str, Any], np.ndarray] | None = None
+        """Its observation, and what it offers."""
+        self._met: bool | None = None
+        """Whether ``self.world`` is a success; None where nobody has asked yet."""
 
     def _draw(self) -> LatticeWorld:
-        world = LatticeWorld(self.problem.site)
-        self._relaxed = relax(self.problem, world)
-        self._start = self._relaxed.blocks
-        return world
+        self._relaxed, self._met = self._begun, None
+        return LatticeWorld(self.problem.site)
+
+    def _observe(self, world: LatticeWorld) -> dict[str, Any]:
+        if world.placed or self._fallen:
+            return super()._observe(world)
+        if self._first is None:
+            self._first = super()._observe(world), self._offered
+        seen, offered = self._first
+        self._offered = offered.copy()
+        return {name: part.copy() for name, part in seen.items()}
 
     def _put(self, world: LatticeWorld, candidate: int) -> tuple[bool, float]:
         grown, reward = put(world, candidate), 0.0
@@ -253,13 +276,16 @@ class GoalsEnv(_CandidateEnv):
             return False, reward
         before = self._relaxed.blocks
         self.world: LatticeWorld | None = grown
+        self._met = None
         self._relaxed = relax(self.problem, grown, self._relaxed.price)
         if np.isfinite(self._relaxed.blocks):
             reward = (before - self._relaxed.blocks) / self._start
         return True, reward + (self._success(grown) - BLOCK_COST)
 
     def _success(self, world: LatticeWorld) -> bool:
-        return self._relaxed.blocks == 0 and bears(self.problem, world)
+        if self._met is None:
+            self._met = self._relaxed.blocks == 0 and bears(self.problem, world)
+        return self._met
 
     def _over(self, world: LatticeWorld) -> bool:
         lost = not np.isfinite(self._relaxed.blocks) or not len(self._offered)

@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 
 from learn2assemble.assembly.blocks import Block
 from learn2assemble.assembly.contacts import Contacts
+from learn2assemble.kernels import kernel
 from learn2assemble.linear_programs import INF, LinearProgram, solve
 from learn2assemble.statics.elastic import balance
 from learn2assemble.statics.local_proof import StackLoad, settle
@@ -81,22 +82,21 @@ class Stack:
     @cached_property
     def above(self) -> tuple[np.ndarray, np.ndarray]:
         """int64: points that rest on each block, at ``start[b]:start[b + 1]``; int64[n + 1]."""
-        order = np.argsort(self.lower, kind="stable")
-        points = order[np.searchsorted(self.lower[order], 0) :]
-        return points, np.searchsorted(self.lower[points], np.arange(len(self) + 1))
+        return _above(self.lower, len(self))
 
     @cached_property
     def order(self) -> np.ndarray:
         """int64: all blocks that are in no ring and rest on none, each before what bears it."""
-        order = np.argsort(-self.rank, kind="stable")
-        return order[self.rank[order] >= 0]
+        return self._ordered[0]
 
     @cached_property
     def turn(self) -> np.ndarray:
         """int64[n]: where each block is in :attr:`order`, -1 where it is not."""
-        turn = np.full(len(self), -1)
-        turn[self.order] = np.arange(len(self.order))
-        return turn
+        return self._ordered[1]
+
+    @cached_property
+    def _ordered(self) -> tuple[np.ndarray, np.ndarray]:
+        return _order(self.rank)
 
     def __len__(self) -> int:
         return len(self.weight)
@@ -218,13 +218,14 @@ class Proof:
 
     def __init__(self, stack: Stack, acceleration: tuple[float, float] = (0.0, 0.0)) -> None:
         self.stack = stack
-        (ax, ay) = acceleration
-        point, centre = stack.point, stack.centre
+        ax, ay = map(float, acceleration)
+        px, py = _sheared(stack.point, ax, ay)
+        cx, cy = _sheared(stack.centre, ax, ay)
         self.load: StackLoad = StackLoad(
-            px=point[:, 0] - ax * point[:, 2],
-            py=point[:, 1] - ay * point[:, 2],
-            cx=centre[:, 0] - ax * centre[:, 2],
-            cy=centre[:, 1] - ay * centre[:, 2],
+            px=px,
+            py=py,
+            cx=cx,
+            cy=cy,
             weight=stack.weight,
             share=stack.share,
             start=stack.start,
@@ -371,3 +372,45 @@ def _reached(stack: Stack, queue: list[int], near: Callable[[int], Iterable[int]
                 found[other] = True
                 queue.append(other)
     return found
+
+
+# ---------------------------------------------------------------- compiled
+# A stack grows by one block at a time, and each has a proof of its own: with arrays of a few dozen
+# points, calls of numpy would take longer than what they do.
+
+
+@kernel
+def _sheared(place: np.ndarray, ax: float, ay: float) -> tuple[np.ndarray, np.ndarray]:
+    """float64[k] twice: x and y of places float64[k, 3] that an acceleration moves by height."""
+    x, y = np.empty(len(place)), np.empty(len(place))
+    for k in range(len(place)):
+        x[k] = place[k, 0] - ax * place[k, 2]
+        y[k] = place[k, 1] - ay * place[k, 2]
+    return x, y
+
+
+@kernel
+def _above(lower: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """See :attr:`Stack.above`."""
+    start = np.zeros(count + 1, np.int64)
+    for a in lower:
+        if a >= 0:
+            start[a + 1] += 1
+    for b in range(count):
+        start[b + 1] += start[b]
+    points, filled = np.empty(start[count], np.int64), start.copy()
+    for p, a in enumerate(lower):
+        if a >= 0:
+            points[filled[a]] = p
+            filled[a] += 1
+    return points, start
+
+
+@kernel
+def _order(rank: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """See :attr:`Stack.order` and :attr:`Stack.turn`."""
+    order = np.argsort(-rank, kind="mergesort")
+    order = order[rank[order] >= 0]
+    turn = np.full(len(rank), -1)
+    turn[order] = np.arange(len(order))
+    return order, turn

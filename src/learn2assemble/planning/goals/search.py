@@ -132,7 +132,7 @@ class Search:
         [kg]."""
         heavy = self.overloaded(world)
         liked = children[relaxed.used[children]]
-        if heavy is None and any(put(world, int(k), False) is not None for k in liked):
+        if heavy is None and any(world.stands(int(k)) for k in liked):
             return np.zeros(len(children)), 0.0
         share, weight = self.ballast(world, heavy, liked)
         return share[children], weight

@@ -106,14 +106,9 @@ def make_problem(goals: Goals) -> GoalProblem:
 def legal(problem: GoalProblem, world: LatticeWorld) -> np.ndarray:
     """int64[m]: candidates that nothing covers and whose centroid has something that carries on
     every side; the whole structure may still fall."""
-    return _legal(
-        world.owner,
-        world.alive,
-        problem.bed_start,
-        problem.bed,
-        problem.centre,
-        np.array(problem.goals.shape),
-    )
+    x, y, z = problem.goals.shape
+    beds = problem.bed_start, problem.bed
+    return _legal(world.owner, world.alive, beds, problem.centre, (x, y, z))
 
 
 def put(world: LatticeWorld, candidate: int, program: bool = True) -> LatticeWorld | None:
@@ -137,50 +132,19 @@ def relax(problem: GoalProblem, world: LatticeWorld, price: np.ndarray | None = 
     Args:
         price: of the state before, to begin with.
     """
-    site, goals = problem.site, unmet(problem, world)
-    price = np.zeros(len(world.heap)) if price is None else price.copy()
-    blocks, used, cost, detour = _relaxed(problem, world, goals, problem.heavy, price)
-    if np.isinf(blocks) and problem.goals.loads:
-        blocks, used, cost, detour = _relaxed(problem, world, goals, problem.centre, price)
-    for _ in range(PRICE_ROUNDS if np.isfinite(blocks) else 0):
-        taken = np.bincount(site.kind[used], minlength=len(price))
-        over = (world.heap >= 0) & (taken > world.heap)
-        if not over.any():
-            break
-        price[over] += PRICE
-        other = _relaxed(problem, world, goals, problem.heavy, price)
-        if np.isinf(other[0]):
-            break
-        blocks, used, cost, detour = other
-    return Relaxed(float(blocks), used, cost, detour, price)
-
-
-def _relaxed(
-    problem: GoalProblem,
-    world: LatticeWorld,
-    goals: np.ndarray,
-    heavy: np.ndarray,
-    price: np.ndarray,
-) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
     site, found = problem.site, problem.site.found
-    return _relax(
-        world.owner,
-        world.alive,
+    x, y, z = site.wanted.shape
+    price = np.zeros(len(world.heap)) if price is None else price.copy()
+    plan = _relax(
+        (world.owner, world.alive, world.heap),
+        price,
         problem.order,
-        found.start,
-        found.cell,
-        problem.beside,
-        problem.bed_start,
-        problem.bed,
-        problem.centre,
-        heavy,
-        found.origin[:, 2],
-        goals,
-        site.over_start,
-        site.over,
-        1 + price[site.kind],
-        np.array(site.wanted.shape),
+        (found.start, found.cell, problem.bed_start, problem.bed),
+        (problem.beside, problem.centre, problem.heavy, found.origin, site.kind),
+        (unmet(problem, world), site.over_start, site.over),
+        (x, y, z),
     )
+    return Relaxed(*plan, price)
 
 
 # ---------------------------------------------------------------- compiled
@@ -190,12 +154,11 @@ def _relaxed(
 def _legal(
     owner: np.ndarray,
     alive: np.ndarray,
-    bed_start: np.ndarray,
-    bed: np.ndarray,
+    beds: tuple[np.ndarray, np.ndarray],
     centre: np.ndarray,
-    shape: np.ndarray,
+    shape: tuple[int, int, int],
 ) -> np.ndarray:
-    step_x, step_y = shape[1] * shape[2], shape[2]
+    (bed_start, bed), step_x, step_y = beds, shape[1] * shape[2], shape[2]
     found = np.empty(len(alive), np.int64)
     count = 0
     for k in range(len(alive)):
@@ -244,164 +207,225 @@ def _beside(start: np.ndarray, cell: np.ndarray, step_x: int, step_y: int) -> np
     return found
 
 
-@kernel(inline="always")
-def _keep(least: np.ndarray, at: np.ndarray, k: int, value: float, cell: int) -> None:
-    """The cheapest so far of one kind, and its cell."""
-    if value < least[k]:
-        least[k], at[k] = value, cell
+_Three = tuple[np.ndarray, np.ndarray, np.ndarray]
+_Four = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+_Five = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 @kernel
+def _relax(
+    state: _Three,
+    price: np.ndarray,
+    order: np.ndarray,
+    place: _Four,
+    about: _Five,
+    goals: _Three,
+    shape: tuple[int, int, int],
+) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+    """Fields of :class:`Relaxed`; ``price`` is raised in place.
+
+    Args:
+        state: ``owner``, ``alive`` and ``heap`` of a world.
+        place: cells of candidates and their lowest cells, as the site and the problem have them.
+        about: ``beside``, ``centre`` and ``heavy`` of the problem, origins and kinds of candidates.
+        goals: flat cells, and ``over_start`` and ``over`` of the site.
+    """
+    heap, (beside, centre, _, origin, kind) = state[2], about
+    best = _estimate(state, price, order, place, about, goals, shape)
+    if np.isinf(best[0]):
+        alone = beside, centre, centre, origin, kind  # Loads are forgotten.
+        best = _estimate(state, price, order, place, alone, goals, shape)
+    if np.isinf(best[0]):
+        return best[0], best[1], best[2], best[2]
+    paid = price.copy()
+    for _ in range(PRICE_ROUNDS):
+        taken, dearer = np.zeros(len(heap), np.int64), False
+        for k in range(len(kind)):
+            taken[kind[k]] += best[1][k]
+        for k in range(len(heap)):
+            if 0 <= heap[k] < taken[k]:
+                price[k] += PRICE
+                dearer = True
+        if not dearer:
+            break
+        other = _estimate(state, price, order, place, about, goals, shape)
+        if np.isinf(other[0]):
+            break
+        best, paid = other, price.copy()
+    # Only those at the last prices are asked for.
+    blocks, used, cost, need = best
+    return blocks, used, cost, _detours(paid, order, place, kind, goals[0], cost, need, shape[2])
+
+
+@kernel(forceinline=True)
 def _support(
-    work: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    need: np.ndarray,
+    bed: np.ndarray,
+    column: np.ndarray,
     first: int,
     last: int,
     cx: float,
     cy: float,
     ref_kind: np.ndarray,
     ref_cell: np.ndarray,
+    k: int,
 ) -> float:
-    """What it takes to carry a centroid (cx, cy); ``ref_*`` become the supports.
+    """What it takes to carry a centroid (cx, cy); row k of ``ref_*`` becomes the supports.
 
     Args:
-        work: ``need`` and ``bed``, x and y of every cell, and float64[8] and int64[8] to write to:
-            making them here takes as long as the rest.
+        column: int64[cells, 2]: x and y of every cell.
     """
-    need, bed, column, least, at = work
     big = best = 1e9
     for n in range(4):
-        ref_kind[n] = -1
-    for n in range(8):
-        least[n], at[n] = big, 0
+        ref_kind[k, n] = -1
+    # Numbers, not arrays: these stay in registers.
+    left = right = front = back = big
+    at_left = at_right = at_front = at_back = 0
     # The cell below the centroid; two of them, or four, where it is over an edge.
     ex = 1 if abs(cx - np.rint(cx)) < 1e-6 else 0
     ey = 1 if abs(cy - np.rint(cy)) < 1e-6 else 0
     bx = int(np.rint(cx)) - 1 if ex else int(np.floor(cx))
     b_y = int(np.rint(cy)) - 1 if ey else int(np.floor(cy))
-    # Straight to the left, to the right, in front and behind; then anywhere on these sides.
+    # Straight to the left, to the right, in front and behind.
     for j in range(first, last):
         below = bed[j] - 1
+        # No pair of cells and no square takes less than one of its cells.
+        if need[below, 0] >= big:
+            continue
         x, y = column[below, 0], column[below, 1]
-        if x == bx and y == b_y and need[ex + 2 * ey, below] < best:
-            best = need[ex + 2 * ey, below]
-            ref_kind[0], ref_cell[0] = ex + 2 * ey, below
-        if y == b_y and x < bx + ex:
-            _keep(least, at, 0, need[2 * ey, below], below)
-        if y == b_y and x > bx:
-            _keep(least, at, 1, need[2 * ey, below], below)
-        if x == bx and y < b_y + ey:
-            _keep(least, at, 2, need[ex, below], below)
-        if x == bx and y > b_y:
-            _keep(least, at, 3, need[ex, below], below)
-        if x < bx + 1:
-            _keep(least, at, 4, need[0, below], below)
-        if x >= bx + ex:
-            _keep(least, at, 5, need[0, below], below)
-        if y < b_y + 1:
-            _keep(least, at, 6, need[0, below], below)
-        if y >= b_y + ey:
-            _keep(least, at, 7, need[0, below], below)
-    for axis in range(2):
-        value = least[2 * axis] + least[2 * axis + 1]
-        if value < best:
-            best = value
-            for n in range(2):
-                ref_kind[n], ref_cell[n] = 2 * ey if axis == 0 else ex, at[2 * axis + n]
-    worst = max(least[4], least[5], least[6], least[7])
-    if best >= big and worst < big:
+        if y == b_y:
+            value = need[below, ex + 2 * ey]
+            if x == bx and value < best:
+                best = value
+                ref_kind[k, 0], ref_cell[k, 0] = ex + 2 * ey, below
+            value = need[below, 2 * ey]
+            if x < bx + ex and value < left:
+                left, at_left = value, below
+            if x > bx and value < right:
+                right, at_right = value, below
+        if x == bx:
+            value = need[below, ex]
+            if y < b_y + ey and value < front:
+                front, at_front = value, below
+            if y > b_y and value < back:
+                back, at_back = value, below
+    if left + right < best:
+        best = left + right
+        ref_kind[k, 0], ref_cell[k, 0] = 2 * ey, at_left
+        ref_kind[k, 1], ref_cell[k, 1] = 2 * ey, at_right
+    if front + back < best:
+        best = front + back
+        ref_kind[k, 0], ref_cell[k, 0] = ex, at_front
+        ref_kind[k, 1], ref_cell[k, 1] = ex, at_back
+    if best < big:
+        return best
+    # Anywhere on these sides.
+    left = right = front = back = big
+    for j in range(first, last):
+        below = bed[j] - 1
+        x, y, value = column[below, 0], column[below, 1], need[below, 0]
+        if x < bx + 1 and value < left:
+            left, at_left = value, below
+        if x >= bx + ex and value < right:
+            right, at_right = value, below
+        if y < b_y + 1 and value < front:
+            front, at_front = value, below
+        if y >= b_y + ey and value < back:
+            back, at_back = value, below
+    worst = max(left, right, front, back)
+    if worst < big:
         best = worst + 1.0
-        for n in range(4):
-            ref_kind[n], ref_cell[n] = 0, at[4 + n]
+        for n, at in enumerate((at_left, at_right, at_front, at_back)):
+            ref_kind[k, n], ref_cell[k, n] = 0, at
     return best
 
 
 @kernel
-def _relax(
-    owner: np.ndarray,
-    alive: np.ndarray,
+def _estimate(
+    state: _Three,
+    price: np.ndarray,
     order: np.ndarray,
-    start: np.ndarray,
-    cell: np.ndarray,
-    beside: np.ndarray,
-    bed_start: np.ndarray,
-    bed: np.ndarray,
-    centre: np.ndarray,
-    heavy: np.ndarray,
-    level: np.ndarray,
-    goals: np.ndarray,
-    over_start: np.ndarray,
-    over: np.ndarray,
-    own: np.ndarray,
-    shape: np.ndarray,
+    place: _Four,
+    about: _Five,
+    goals: _Three,
+    shape: tuple[int, int, int],
 ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-    size_y, size_z = shape[1], shape[2]
+    """Blocks, ``used`` and ``cost`` of the relaxed plan at given prices, and what it takes to fill
+    a cell, it and its neighbour in x, in y, or the square of four (float64[cells, 4])."""
+    owner, alive, _ = state
+    start, cell, bed_start, bed = place
+    beside, centre, heavy, origin, kinds = about
+    size_x, size_y, size_z = shape
     step_x, step_y = size_y * size_z, size_z
     count, cells = len(alive), len(owner)
     big = 1e9
-    # What it takes to fill a cell, it and its neighbour in x, in y, or the square of four.
-    need = np.full((4, cells), big)
-    by = np.full((4, cells), -1)
+    need = np.full((cells, 4), big)
+    by = np.empty((cells, 4), np.int64)
     column = np.empty((cells, 2), np.int64)
-    for c in range(cells):
-        x, y = c // step_x, (c // step_y) % size_y
-        column[c, 0], column[c, 1] = x, y
-        if owner[c] >= 0:
-            right = x + 1 < shape[0] and owner[c + step_x] >= 0
-            back = y + 1 < size_y and owner[c + step_y] >= 0
-            need[0, c] = 0.0
-            if right:
-                need[1, c] = 0.0
-            if back:
-                need[2, c] = 0.0
-            if right and back and owner[c + step_x + step_y] >= 0:
-                need[3, c] = 0.0
+    c = 0
+    for x in range(size_x):
+        for y in range(size_y):
+            for _ in range(size_z):
+                column[c, 0], column[c, 1] = x, y
+                if owner[c] >= 0:
+                    right = x + 1 < size_x and owner[c + step_x] >= 0
+                    back = y + 1 < size_y and owner[c + step_y] >= 0
+                    need[c, 0] = 0.0
+                    if right:
+                        need[c, 1] = 0.0
+                    if back:
+                        need[c, 2] = 0.0
+                    if right and back and owner[c + step_x + step_y] >= 0:
+                        need[c, 3] = 0.0
+                c += 1
     cost = np.full(count, big)
-    ref_kind = np.full((count, 4), -1)
-    ref_cell = np.zeros((count, 4), np.int64)
-    kinds, places = np.full(4, -1), np.zeros(4, np.int64)
-    work = need, bed, column, np.empty(8), np.empty(8, np.int64)
+    # A row for every candidate, and one to try in. Only those with a cost are read.
+    ref_kind, ref_cell = np.empty((count + 1, 4), np.int64), np.empty((count + 1, 4), np.int64)
     k: int
     for k in order:
         if not alive[k]:
             continue
-        best = big
-        if level[k] == 0:
-            best = 0.0
+        best = 0.0
+        if origin[k, 2] == 0:
+            for n in range(4):
+                ref_kind[k, n] = -1
         else:
             first, last = bed_start[k], bed_start[k + 1]
             x, y = centre[k, 0], centre[k, 1]
-            best = _support(work, first, last, x, y, ref_kind[k], ref_cell[k])
-            if heavy[k, 0] != x or heavy[k, 1] != y:
-                more = _support(work, first, last, heavy[k, 0], heavy[k, 1], kinds, places)
+            best = _support(need, bed, column, first, last, x, y, ref_kind, ref_cell, k)
+            if best < big and (heavy[k, 0] != x or heavy[k, 1] != y):
+                x, y = heavy[k, 0], heavy[k, 1]
+                more = _support(need, bed, column, first, last, x, y, ref_kind, ref_cell, count)
                 if more > best:
                     best = more
-                    ref_kind[k], ref_cell[k] = kinds, places
+                    for n in range(4):
+                        ref_kind[k, n], ref_cell[k, n] = ref_kind[count, n], ref_cell[count, n]
         if best >= big:
             continue
         # Of equally dear ones the largest, on which most can lie.
-        total = best + own[k] - 1e-4 * (start[k + 1] - start[k])
+        total = best + (1.0 + price[kinds[k]]) - 1e-4 * (start[k + 1] - start[k])
         cost[k] = total
         for j in range(start[k], start[k + 1]):
             c = cell[j]
             right, back, both = beside[j, 0], beside[j, 1], beside[j, 2]
-            if total < need[0, c]:
-                need[0, c], by[0, c] = total, k
-            if right and total < need[1, c]:
-                need[1, c], by[1, c] = total, k
-            if back and total < need[2, c]:
-                need[2, c], by[2, c] = total, k
-            if right and back and both and total < need[3, c]:
-                need[3, c], by[3, c] = total, k
+            if total < need[c, 0]:
+                need[c, 0], by[c, 0] = total, k
+            if right and total < need[c, 1]:
+                need[c, 1], by[c, 1] = total, k
+            if back and total < need[c, 2]:
+                need[c, 2], by[c, 2] = total, k
+            if right and back and both and total < need[c, 3]:
+                need[c, 3], by[c, 3] = total, k
     used = np.zeros(count, np.bool_)
-    covered = np.zeros(cells, np.bool_)
-    wanted = np.zeros(cells, np.bool_)
-    for c in goals:
+    covered, wanted = np.zeros(cells, np.bool_), np.zeros(cells, np.bool_)
+    cells_of_goals, over_start, over = goals
+    for c in cells_of_goals:
         wanted[c] = True
-        if need[0, c] >= big:
-            return np.inf, used, cost, cost
+        if need[c, 0] >= big:
+            return np.inf, used, cost, need
     queue = np.empty(count + 1, np.int64)
     blocks = 0.0
-    for goal in goals:
+    for goal in cells_of_goals:
         if covered[goal]:
             continue
         chosen, least = -1, big
@@ -426,30 +450,49 @@ def _relax(
                 covered[cell[j]] = True
             for n in range(4):
                 kind, c = ref_kind[k, n], ref_cell[k, n]
-                if kind < 0 or need[kind, c] <= 0.0:
+                if kind < 0 or need[c, kind] <= 0.0:
                     continue
                 there = covered[c]
                 there = there and (kind % 2 == 0 or covered[c + step_x])
                 there = there and (kind < 2 or covered[c + step_y])
-                other = by[kind, c]
+                other = by[c, kind]
                 if not there and not used[other]:
                     used[other] = True
                     queue[tail] = other
                     tail += 1
-    # From above: what it takes by a candidate beyond the cheapest way to the same goal.
-    ahead = np.full(cells, big)
-    detour = np.full(count, big)
-    for i in range(count):
-        k = order[count - 1 - i]
-        if not alive[k] or cost[k] >= big:
+    return blocks, used, cost, need
+
+
+@kernel
+def _detours(
+    price: np.ndarray,
+    order: np.ndarray,
+    place: _Four,
+    kind: np.ndarray,
+    goals: np.ndarray,
+    cost: np.ndarray,
+    need: np.ndarray,
+    levels: int,
+) -> np.ndarray:
+    """From above: what it takes by a candidate beyond the cheapest way to the same goal."""
+    start, cell, bed_start, bed = place
+    big = 1e9
+    wanted = np.zeros(len(need), np.bool_)
+    for c in goals:
+        wanted[c] = True
+    ahead = np.full(len(need), big)
+    detour = np.full(len(order), big)
+    for i in range(len(order) - 1, -1, -1):
+        k = order[i]
+        if cost[k] >= big:
             continue
         least = big
         for j in range(start[k], start[k + 1]):
             c = cell[j]
-            least = min(least, -need[0, c] if wanted[c] else ahead[c])
+            least = min(least, -need[c, 0] if wanted[c] else ahead[c])
         detour[k] = cost[k] + least
         for j in range(bed_start[k], bed_start[k + 1]):
             c = bed[j]
-            if c % step_y:
-                ahead[c - 1] = min(ahead[c - 1], least + own[k])
-    return blocks, used, cost, detour
+            if c % levels:
+                ahead[c - 1] = min(ahead[c - 1], least + (1.0 + price[kind[k]]))
+    return detour

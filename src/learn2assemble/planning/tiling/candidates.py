@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.assembly.kit import Cell, Kit, Orientation, orientations
+from learn2assemble.kernels import kernel
 from learn2assemble.linear_programs import INF
 
 
@@ -165,24 +166,35 @@ def hull_of_boxes(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     )
 
 
+@kernel
 def convex_hull(points: np.ndarray) -> np.ndarray:
     """float64[h, 2]: corners of the hull of float64[n, 2], counter-clockwise, none on an edge."""
-    ordered = sorted({(float(x), float(y)) for x, y in points})
-    if len(ordered) < 3:
-        return np.array(ordered)
-
-    def half(line: list[tuple[float, float]]) -> list[tuple[float, float]]:
-        out: list[tuple[float, float]] = []
-        for x, y in line:
-            while len(out) > 1:
-                (ax, ay), (bx, by) = out[-2:]
+    order = np.argsort(points[:, 1], kind="mergesort")
+    order = order[np.argsort(points[order, 0], kind="mergesort")]
+    line, count = np.empty((len(order), 2)), 0
+    for k in order:
+        x, y = points[k, 0], points[k, 1]
+        if count == 0 or line[count - 1, 0] != x or line[count - 1, 1] != y:
+            line[count, 0], line[count, 1] = x, y
+            count += 1
+    if count < 3:
+        return line[:count]
+    # Along the lower side, and back along the upper one; the end of each begins the other.
+    out, size = np.empty((2 * count, 2)), 0
+    for way in range(2):
+        first = size
+        for i in range(count):
+            x, y = line[count - 1 - i if way else i]
+            while size - first > 1:
+                ax, ay = out[size - 2]
+                bx, by = out[size - 1]
                 if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 1e-9:
                     break
-                out.pop()
-            out.append((x, y))
-        return out[:-1]
-
-    return np.array(half(ordered) + half(ordered[::-1]))
+                size -= 1
+            out[size, 0], out[size, 1] = x, y
+            size += 1
+        size -= 1
+    return out[:size]
 
 
 def find_candidates(

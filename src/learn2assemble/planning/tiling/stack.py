@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from learn2assemble.assembly.kit import Kit
-from learn2assemble.planning.tiling.candidates import BlockPlacement, hull_of_boxes, placement_cells
+from learn2assemble.kernels import kernel
+from learn2assemble.planning.tiling.candidates import (
+    BlockPlacement,
+    convex_hull,
+    hull_of_boxes,
+    placement_cells,
+)
 from learn2assemble.planning.tiling.tile import owners
 from learn2assemble.statics.step_proof import EDGE_INSET, Stack, ranks
 
@@ -103,3 +109,140 @@ def block_masses(
         weight[number] = known[key][0]
         centre[number] = known[key][1] + (block.origin - middle) * pitch
     return weight, centre
+
+
+# ---------------------------------------------------------------- one block more
+
+_Arrays = tuple[
+    np.ndarray,
+    np.ndarray,
+    np.ndarray,
+    np.ndarray,
+    np.ndarray,
+    np.ndarray,
+    np.ndarray,
+    np.ndarray,
+]
+
+
+@kernel
+def grow_stack(
+    cells: np.ndarray,
+    owner: np.ndarray,
+    propped: np.ndarray,
+    shape: tuple[int, int, int],
+    pitch: tuple[float, float, float],
+    inset: float,
+    block: tuple[float, np.ndarray, np.ndarray],
+    old: _Arrays,
+) -> _Arrays:
+    """Arrays of a stack, all but its last, with one more block.
+
+    Args:
+        block: its weight, its centre of mass from the corner of its cells, and that corner.
+    """
+    weight, centre, point, upper, lower, share, start, rank = old
+    n, size = len(weight), len(point)
+    points, below, area = _beds(cells, owner, shape, pitch, inset)
+    grown = size + len(below)
+    weights, centres = np.empty(n + 1), np.empty((n + 1, 3))
+    starts, ranks = np.empty(n + 2, np.int64), np.empty(n + 1, np.int64)
+    weights[:n], centres[:n], starts[: n + 1], ranks[:n] = weight, centre, start, rank
+    weights[n], starts[n + 1], highest = block[0], start[n] + len(below), -1
+    for axis in range(3):
+        middle = shape[axis] / 2 if axis < 2 else 0.0
+        centres[n, axis] = block[1][axis] + (block[2][axis] - middle) * pitch[axis]
+    corner, shares = np.empty((grown, 3)), np.empty(grown)
+    uppers, lowers = np.empty(grown, np.int64), np.empty(grown, np.int64)
+    corner[:size], uppers[:size], lowers[:size], shares[:size] = point, upper, lower, share
+    for k in range(len(below)):
+        base, p = below[k], size + k
+        for other in propped:
+            base = -1 if other == base else base
+        if base >= 0:
+            highest = max(highest, rank[base])
+        for axis in range(3):
+            middle = shape[axis] / 2 if axis < 2 else 0.0
+            corner[p, axis] = points[k, axis] - middle * pitch[axis]
+        uppers[p], lowers[p], shares[p] = n, base, area[k]
+    ranks[n] = highest + 1
+    return weights, centres, corner, uppers, lowers, shares, starts, ranks
+
+
+@kernel
+def _beds(
+    cells: np.ndarray,
+    owner: np.ndarray,
+    shape: tuple[int, int, int],
+    pitch: tuple[float, float, float],
+    inset: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Corners of the bed joints of a new block [m] from the corner of the lattice.
+
+    Returns:
+        float64[P, 3]; the block below every corner, -1 for the table; the area that is its share.
+    """
+    size_x, size_y, size_z = shape
+    dx, dy, dz = pitch
+    own = np.zeros(len(owner), np.bool_)
+    own[cells] = True
+    # What every cell rests on: -1 the table, -2 nothing.
+    base = np.full(len(cells), -2)
+    for k, c in enumerate(cells):
+        if c % size_z == 0:
+            base[k] = -1
+        elif owner[c - 1] >= 0 and not own[c - 1]:
+            base[k] = owner[c - 1]
+    most = 4 * len(cells)
+    points, lower, share = np.empty((most, 3)), np.empty(most, np.int64), np.empty(most)
+    boxes, count = np.empty((most, 2)), 0
+    while True:
+        # One bed after the other: all cells that rest on the same block at the same level.
+        first = -1
+        for k in range(len(cells)):
+            if base[k] > -2:
+                sooner = first < 0 or base[k] < base[first]
+                lower_down = cells[k] % size_z < cells[first] % size_z
+                if sooner or (base[k] == base[first] and lower_down):
+                    first = k
+        if first < 0:
+            return points[:count], lower[:count], share[:count]
+        block, z = base[first], cells[first] % size_z
+        area, n = 0.0, 0
+        low_x = low_y = np.inf
+        high_x = high_y = -np.inf
+        for k, c in enumerate(cells):
+            if base[k] != block or c % size_z != z:
+                continue
+            base[k] = -2
+            x, y = c // size_z // size_y, c // size_z % size_y
+            a, b, e, f = x * dx, (x + 1) * dx, y * dy, (y + 1) * dy
+            for side, (u, v) in enumerate(((-1, 0), (1, 0), (0, -1), (0, 1))):
+                inside = 0 <= x + u < size_x and 0 <= y + v < size_y
+                near = ((x + u) * size_y + y + v) * size_z + z
+                if inside and own[near] and (block < 0 or owner[near - 1] == block):
+                    continue
+                if side == 0:
+                    a += inset
+                elif side == 1:
+                    b -= inset
+                elif side == 2:
+                    e += inset
+                else:
+                    f -= inset
+            area += (b - a) * (f - e)
+            low_x, high_x = min(low_x, a), max(high_x, b)
+            low_y, high_y = min(low_y, e), max(high_y, f)
+            for i in range(4):
+                boxes[n, 0], boxes[n, 1] = a if i < 2 else b, f if i % 2 else e
+                n += 1
+        corners = np.empty((4, 2))
+        for i in range(4):
+            corners[i, 0] = high_x if i in (1, 2) else low_x
+            corners[i, 1] = high_y if i > 1 else low_y
+        if n > 4 and area < 0.999 * (high_x - low_x) * (high_y - low_y):
+            corners = convex_hull(boxes[:n])
+        for i in range(len(corners)):
+            points[count, 0], points[count, 1] = corners[i, 0], corners[i, 1]
+            points[count, 2], lower[count], share[count] = z * dz, block, area / len(corners)
+            count += 1

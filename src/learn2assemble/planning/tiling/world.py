@@ -26,11 +26,10 @@ from learn2assemble.kernels import kernel
 from learn2assemble.planning.tiling.candidates import (
     BlockPlacement,
     Candidates,
-    convex_hull,
     find_candidates,
 )
 from learn2assemble.planning.tiling.props import FIRM, choose_props
-from learn2assemble.planning.tiling.stack import find_stack
+from learn2assemble.planning.tiling.stack import find_stack, grow_stack
 from learn2assemble.planning.tiling.tile import Tiling, check_cells
 from learn2assemble.statics.step_proof import EDGE_INSET, Proof, Stack, lies_below
 
@@ -235,6 +234,10 @@ class LatticeWorld:
         self.put(candidate)
         return True
 
+    def stands(self, candidate: int) -> bool:
+        """Whether the local proof holds with one more block; nothing is put down."""
+        return self._prove(candidate, False) is not None
+
     def prop_up(self, candidate: int) -> bool:
         """Put down a legal candidate that falls, where a stack of blocks below it can be a prop."""
         site, block = self.site, self.site.placement(candidate)
@@ -282,9 +285,8 @@ class LatticeWorld:
                 self._run_out(kind)
 
     def _run_out(self, kind: int) -> None:
-        gone = np.flatnonzero(self.alive & (self.site.kind == kind))
-        self.alive[gone] = False
-        self.cover -= np.bincount(self.site.found.take(gone).cell, minlength=len(self.cover))
+        found = self.site.found
+        _run_out(kind, self.site.kind, found.start, found.cell, self.alive, self.cover)
 
     def _prove(self, candidate: int, program: bool) -> Proof | None:
         proof = self._grown(candidate)
@@ -342,6 +344,23 @@ def _fill(
 
 
 @kernel
+def _run_out(
+    gone: int,
+    kind: np.ndarray,
+    start: np.ndarray,
+    cell: np.ndarray,
+    alive: np.ndarray,
+    cover: np.ndarray,
+) -> None:
+    """No candidate of a kind can be put down any more."""
+    for k in range(len(kind)):
+        if alive[k] and kind[k] == gone:
+            alive[k] = False
+            for j in range(start[k], start[k + 1]):
+                cover[cell[j]] -= 1
+
+
+@kernel
 def _pack(
     alive: np.ndarray, kind: np.ndarray, kinds: int, start: np.ndarray, cell: np.ndarray, cells: int
 ) -> np.ndarray:
@@ -384,75 +403,20 @@ def _nothing(kit: Kit) -> Proof:
 
 def grow(world: LatticeWorld, candidate: int) -> Stack:
     """The stack with one more block, the same as :func:`find_stack` makes of all of them."""
-    site, old = world.site, world.proof.stack
-    shape, pitch = site.wanted.shape, np.array(site.kit.pitch)
-    way, number = int(site.found.way[candidate]), len(old)
-    middle = np.array([shape[0] / 2, shape[1] / 2, 0.0])
-    centre = site.centre[way] + (site.found.origin[candidate] - middle) * pitch
-    points, lower, share = _beds(world, candidate)
-    points[:, :2] -= middle[:2] * pitch[:2]
-    below = [base for base in set(lower) if base >= 0]
-    rank = max((int(old.rank[base]) for base in below), default=-1) + 1
-    count = len(lower)
-    return Stack(
-        np.append(old.weight, site.weight[way]),
-        np.concatenate([old.centre, centre[None]]),
-        np.concatenate([old.point, points]),
-        np.concatenate([old.upper, np.full(count, number)]),
-        np.concatenate([old.lower, np.array(lower, np.int64)]),
-        np.concatenate([old.share, np.array(share)]),
-        np.append(old.start, old.start[-1] + count),
-        np.append(old.rank, rank),
-        old.cell,
+    site, old, pitch = world.site, world.proof.stack, world.site.kit.pitch
+    x, y, z = site.wanted.shape
+    way = int(site.found.way[candidate])
+    made = grow_stack(
+        site.cells(candidate),
+        world.owner,
+        np.array(world.propped, np.int64),
+        (x, y, z),
+        (float(pitch[0]), float(pitch[1]), float(pitch[2])),
+        site.kit.joint_gap / 2 + EDGE_INSET * min(pitch[:2]),
+        (site.weight[way], site.centre[way], site.found.origin[candidate]),
+        (old.weight, old.centre, old.point, old.upper, old.lower, old.share, old.start, old.rank),
     )
-
-
-def _beds(world: LatticeWorld, candidate: int) -> tuple[np.ndarray, list[int], list[float]]:
-    """Corners of the bed joints of a new block [m] from the corner of the lattice.
-
-    Returns:
-        float64[P, 3]; the block below every corner, -1 for the table; the area that is its share.
-    """
-    site = world.site
-    size_x, size_y, size_z = site.wanted.shape
-    dx, dy, dz = site.kit.pitch
-    inset = site.kit.joint_gap / 2 + EDGE_INSET * min(dx, dy)
-    cells: list[int] = site.cells(candidate).tolist()
-    own, owner = set(cells), world.owner
-    beds: dict[tuple[int, int], list[tuple[int, int]]] = {}
-    for cell in cells:
-        z = cell % size_z
-        base = -1 if z == 0 else int(owner[cell - 1])
-        if (z == 0 or base >= 0) and (z == 0 or cell - 1 not in own):
-            x, y = divmod(cell // size_z, size_y)
-            beds.setdefault((base, z), []).append((x, y))
-    points: list[tuple[float, float, float]] = []
-    lower: list[int] = []
-    share: list[float] = []
-    for (base, z), at in sorted(beds.items()):
-        boxes, area = list[tuple[float, float, float, float]](), 0.0
-        for x, y in at:
-            sides = list[float]()
-            for u, v in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-                inside = 0 <= x + u < size_x and 0 <= y + v < size_y
-                near = ((x + u) * size_y + y + v) * size_z + z
-                ends = not inside or near not in own
-                ends = ends or (base >= 0 and int(owner[near - 1]) != base)
-                sides.append(inset if ends else 0.0)
-            a, b = x * dx + sides[0], (x + 1) * dx - sides[1]
-            c, d = y * dy + sides[2], (y + 1) * dy - sides[3]
-            boxes.append((a, b, c, d))
-            area += (b - a) * (d - c)
-        a, c = min(box[0] for box in boxes), min(box[2] for box in boxes)
-        b, d = max(box[1] for box in boxes), max(box[3] for box in boxes)
-        corners = [(a, c), (b, c), (b, d), (a, d)]
-        if len(at) > 1 and area < 0.999 * (b - a) * (d - c):
-            every = [(x, y) for box in boxes for x in box[:2] for y in box[2:]]
-            corners = [(float(x), float(y)) for x, y in convex_hull(np.array(every))]
-        points += [(x, y, z * dz) for x, y in corners]
-        lower += [-1 if base in world.propped else base] * len(corners)
-        share += [area / len(corners)] * len(corners)
-    return np.array(points), lower, share
+    return Stack(*made, old.cell)
 
 
 def run(site: LatticeSite, order: list[int]) -> LatticeWorld | None:
