@@ -11,6 +11,7 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -56,6 +57,7 @@ from learn2assemble.robot.moves import (
     turned,
     turns,
 )
+from learn2assemble.robot.registry import TOOLS
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly
@@ -262,19 +264,51 @@ def report_reach(
     if plan.assembly is None:
         raise InputError("design", plan.reason or "no blocks", "a design that blocks fill")
     pieces = with_rests(pieces_of(plan.assembly), get_arm(arm, tool))
-    check_held(get_arm(arm, tool), pieces)
+    check_held(get_arm(arm, tool), pieces, plan.assembly.holds)
     best = here = suggest(arm, tool, pieces)
     if site is not None and site.base is not None:
         here = reach_from(place_arm(arm, tool, site.base), site.base, pieces)
     return ReachReport(arm, tool, plan.assembly, here, best)
 
 
-def check_held(arm: Arm, pieces: Sequence[Piece]) -> None:
+def check_held(arm: Arm, pieces: Sequence[Piece], studs: bool = False) -> None:
     """Refuse blocks that the tool cannot hold at any face.
 
+    Args:
+        studs: whether they have some, on which no cup holds.
+
     Raises:
-        InputError: naming them, by reason.
+        InputError: naming them, by reason, and a tool that holds all of them.
     """
+    names = _not_held(arm, pieces)
+    if not names:
+        return
+    words = list[str]()
+    for why, blocks in names.items():
+        listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
+        words.append(f"{listed}: {why}")
+    more = f" (and {len(words) - 6} more reasons)" if len(words) > 6 else ""
+    others = {} if studs else with_other_tools(arm)
+    other = next((tool for tool, one in others.items() if not _not_held(one, pieces)), None)
+    raise InputError(
+        f"tool {arm.tool_name}",
+        "; ".join(words[:6]) + more,
+        "blocks it can hold; "
+        + (f"`tool={other}` holds all of them" if other else "no other tool holds all of them"),
+    )
+
+
+def with_other_tools(arm: Arm) -> dict[str, Arm]:
+    """The arm, where its file says, with every other tool that it can have, by its name."""
+    found: dict[str, Arm] = {}
+    for tool in TOOLS:
+        with suppress(InputError):  # It has no fingers.
+            found[tool] = get_arm(arm.name, tool)
+    return {tool: one for tool, one in found.items() if one.tool_name != arm.tool_name}
+
+
+def _not_held(arm: Arm, pieces: Sequence[Piece]) -> dict[str, list[str]]:
+    """Names of the blocks that the tool cannot hold at any face, by reason."""
     seen: dict[tuple[Shape, Turn], str | None] = {}
     names: dict[str, list[str]] = {}
     for piece in pieces:
@@ -284,19 +318,7 @@ def check_held(arm: Arm, pieces: Sequence[Piece]) -> None:
         why = seen[key]
         if why is not None:
             names.setdefault(why, []).append(piece.id)
-    if not names:
-        return
-    words = list[str]()
-    for why, blocks in names.items():
-        listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
-        words.append(f"{listed}: {why}")
-    more = f" (and {len(words) - 6} more reasons)" if len(words) > 6 else ""
-    other = "gripper" if arm.suction else "suction"
-    raise InputError(
-        f"tool {arm.tool_name}",
-        "; ".join(words[:6]) + more,
-        f"blocks it can hold; `tool={other}` may",
-    )
+    return names
 
 
 def why_not_turned(arm: Arm, piece: Piece) -> str | None:
@@ -329,7 +351,7 @@ def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
     job = replace(job, obstacles=(*site.obstacles, *site.kept_out), pieces=every)
     # What can be done by hand asks nothing of the arm.
     pieces = [piece for piece in every if not (job.hands and piece.prop)]
-    check_held(get_arm(name, tool), pieces)
+    check_held(get_arm(name, tool), pieces, job.assembly.holds)
     order = [step.block for step in job.steps if not step.remove]
     given = given_sources(site, every, order)
     top = max(p.top for p in pieces)
