@@ -218,6 +218,12 @@ def test_what_the_arm_refuses_is_not_said_to_be_impossible(
     assert both in str(l2a.load_plan(tmp_path).reason)
 
 
+def test_cells_larger_than_a_drawing_are_refused() -> None:
+    """50, where 50mm was meant."""
+    with pytest.raises(InputError, match="no cell of 50 x 50 x 50 m is half full"):
+        l2a.build(GATE, cell=50.0)
+
+
 def test_files_and_pages_say_both() -> None:
     text = "with `tool=suction-side` it does; `seconds=` gives more"
     assert as_options(text) == "with --tool suction-side it does; --seconds gives more"

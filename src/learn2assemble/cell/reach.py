@@ -261,7 +261,8 @@ def on_table(arm: Arm, height: float = LOW_HEIGHT) -> tuple[np.ndarray, ...]:
         round, the outer and the inner one, else one; none where it reaches nothing.
     """
     base = arm.base_position[:2]
-    point, rotation = forward(get_chain(arm), arm.home)
+    chain = get_chain(arm)
+    point, rotation = forward(chain, arm.home)
     facing = math.atan2(point[1] - base[1], point[0] - base[0])
 
     def place(radius: float, turn: float) -> np.ndarray:
@@ -274,13 +275,19 @@ def on_table(arm: Arm, height: float = LOW_HEIGHT) -> tuple[np.ndarray, ...]:
         at = np.array([*place(radius, turn), height])
         return solve(arm, at, yaw_matrix(turn) @ rotation, start).ok
 
-    radii = [r for r in np.arange(0.1, 2.0, 0.02).tolist() if reached(r)]
+    longest = float(np.linalg.norm([*chain.offset[1:], chain.tool_offset], axis=1).sum())
+    radii = [r for r in np.linspace(0.1, longest, 80).tolist() if reached(r)]
     if not radii:
         return ()
-    low, high, turns = radii[0], radii[-1], np.radians(np.arange(0, 181, 5)).tolist()
-    middle = radii[len(radii) // 2]
-    first = max(itertools.takewhile(lambda turn: reached(middle, -turn), turns), default=0.0)
-    last = max(itertools.takewhile(lambda turn: reached(middle, turn), turns), default=0.0)
+    low, high, middle = radii[0], radii[-1], radii[len(radii) // 2]
+
+    def furthest(way: int) -> float:
+        turns = (math.radians(5 * k) for k in range(37))
+        return max(
+            itertools.takewhile(lambda turn: reached(middle, way * turn), turns), default=0.0
+        )
+
+    first, last = furthest(-1), furthest(1)
     count = 1 + round(math.degrees(first + last) / 5)
     outer, inner = (
         np.array([place(r, turn) for turn in np.linspace(-first, last, count)]) for r in (high, low)
