@@ -220,7 +220,7 @@ def test_what_the_arm_refuses_is_not_said_to_be_impossible(
 
 def test_cells_larger_than_a_drawing_are_refused() -> None:
     """50, where 50mm was meant."""
-    with pytest.raises(InputError, match="no cell of 50 x 50 x 50 m is half full"):
+    with pytest.raises(l2a.InputError, match="no cell of 50 x 50 x 50 m is half full"):
         l2a.build(GATE, cell=50.0)
 
 
