@@ -161,10 +161,7 @@ def advise(plan: Plan, workcell: Workcell, joint: float, progress: Progress) -> 
         return ""
     # Of the processor: on a busy machine as much is tried.
     tried, clock = list[str](), Clock(_SECONDS, time.process_time)
-    arm = get_arm(workcell.arm, workcell.tool)
-    others = with_other_tools(arm)
-    # Cups for cups first, which come to a block as the arm does now.
-    for tool in sorted(others, key=lambda k: (others[k].suction is None) != (arm.suction is None)):
+    for tool in with_other_tools(get_arm(workcell.arm, workcell.tool)):
         if clock.left <= 0:
             return ""
         progress(f"trying whether the arm does it with the tool {tool}")

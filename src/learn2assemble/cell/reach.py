@@ -347,12 +347,15 @@ def check_held(arm: Arm, pieces: Sequence[Piece], studs: bool = False) -> None:
 
 
 def with_other_tools(arm: Arm) -> dict[str, Arm]:
-    """The arm, where its file says, with every other tool that it can have, by its name."""
+    """The arm, where its file says, with every other tool that it can have, by its name; for a cup
+    other cups come first, which come to a block alike."""
     found: dict[str, Arm] = {}
     for tool in TOOLS:
         with suppress(InputError):  # It has no fingers.
             found[tool] = get_arm(arm.name, tool)
-    return {tool: one for tool, one in found.items() if one.tool_name != arm.tool_name}
+    others = [name for name, one in found.items() if one.tool_name != arm.tool_name]
+    others.sort(key=lambda name: (found[name].suction is None) != (arm.suction is None))
+    return {name: found[name] for name in others}
 
 
 def _not_held(arm: Arm, pieces: Sequence[Piece]) -> dict[str, list[str]]:
