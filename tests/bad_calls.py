@@ -813,8 +813,13 @@ BAD = [
         table("T1", "--out", "{d}/special/figures"),
         "figures of this command",
     ),
+    BadCall("workers of one training", train("--workers", "3"), "--workers: got 3, expected none"),
     BadCall("agents by name alone", ["agents", "dqn-s0"], "fetch"),
-    BadCall("agents listed by name", ["agents", "list", "dqn-s0"], "nothing, but with fetch"),
+    BadCall(
+        "agents listed by name",
+        ["agents", "list", "dqn-s0"],
+        "got 'dqn-s0', expected none with list",
+    ),
     BadCall("a misspelt agent fetched", ["agents", "fetch", "dqn-so"], "dqn-s0"),
     BadCall(
         "agents of a folder there is not",
@@ -927,7 +932,7 @@ BAD = [
         ["eval", TASK, "--look-ahead", "rigid"],
         "a search beside it",
     ),
-    BadCall("restore faults without a search", ["eval", TASK, "--legacy"], "--search NAME"),
+    BadCall("restore faults without a search", ["eval", TASK, "--legacy"], "got '--search none'"),
     BadCall("seed of 400 digits", ["eval", TASK, "--seed", "1" * 400], "from 0 to 2147483647"),
     BadCall(
         "physics without an arm",

@@ -530,6 +530,11 @@ def test_blocks_that_no_face_lets_the_tool_hold_are_named_before_planning(
         l2a.build(needles, arm="ur5e")
     with pytest.raises(InputError, match=r"n1, n2: .* no two parallel faces for fingers"):
         l2a.build(needles, arm="ur5e", tool="gripper")
+    with pytest.raises(InputError, match=r"blocks it can hold; no other tool holds all of them$"):
+        l2a.build(needles, arm="ur5e")
+    with pytest.raises(InputError, match=r"blocks it can hold; `tool=suction` holds all of them$"):
+        l2a.build(Assembly(wall), arm="ur5e", tool="gripper")
+    check_held(UR5E, pieces_of(Assembly(wall)))
     heavy = dataclasses.replace(wall[0], density=20_000.0)
     with pytest.raises(InputError, match=r"sill: 10\.00 kg is too heavy"):
         l2a.build(Assembly((heavy,)), arm="panda")

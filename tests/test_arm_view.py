@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import json
+import math
 import re
 import tempfile
 from dataclasses import replace
@@ -17,13 +18,17 @@ import numpy as np
 import pytest
 
 from arm_record import arm_plan, arm_record
-from headless import SPATIAL, browse, pixels, shoot
+from headless import SPATIAL, browse, find_browser, pixels, shoot
+from learn2assemble.cell.reach import on_table
+from learn2assemble.cli import main
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.geometry.rotations import quaternion_matrix, yaw_matrix
 from learn2assemble.motion.record import BuildRecord, Stage
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot import shape as shapes
 from learn2assemble.robot.arm import arm_model, arms_spec, get_arm
+from learn2assemble.robot.inverse import solve
+from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.shape import Mesh, arm_shape, box, capsule, shaded
 from learn2assemble.viewer import words as arm_words
@@ -283,6 +288,39 @@ def test_the_page_is_small_and_needs_nothing(tmp_path: Path) -> None:
     assert policy
     assert "default-src 'none'" in policy[1]
     assert policy[1].count("sha256-") == 6
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5e"])
+def test_what_an_arm_reaches_on_the_table(name: str) -> None:
+    arm = get_arm(name, "suction", (0.3, -0.4, 0.0, 1.0))
+    base, rotation = arm.base_position[:2], forward(get_chain(arm), arm.home)[1]
+    corners = np.concatenate(on_table(arm))
+    away = np.linalg.norm(corners - base, axis=1)
+    assert 0.5 < away.max() < 1.0
+    assert away.min() < 0.3
+    for corner in corners[away > 0.5][::9]:
+        found = [
+            solve(arm, np.array([*(base + share * (corner - base)), 0.05]), turn).ok
+            for share in (0.98, 1.15)
+            for turn in (yaw_matrix(k * math.pi / 4) @ rotation for k in range(8))
+        ]
+        assert any(found[:8])
+        assert not any(found[8:])
+
+
+@pytest.mark.browser
+def test_an_arm_stands_in_the_page_of_what_it_reaches(tmp_path: Path) -> None:
+    folder, design = tmp_path / "out", tmp_path / "wall.npy"
+    np.save(design, np.ones((6, 1, 2), bool))
+    assert main(["reach", str(design), "--arm", "ur5e", "--out", str(folder)]) == 0
+    data = page_data((folder / "view.html").read_text(encoding="utf-8"))
+    assert data["standing"]["areas"]
+    (robot,) = data["standing"]["robots"]
+    # It stands behind the wall, and beside it in the picture.
+    assert (data["view"][1], robot["joints"][0]["offset"][1] < 0) == (-0.8, True)
+    shots, log = shoot(find_browser(), folder, ("",), (1000, 700), *SPATIAL)
+    assert "CONSOLE" not in log
+    assert (shots[0][150:450, :560, :3] < 0.25).all(-1).sum() > 300  # Its joints are black.
 
 
 def test_the_page_without_a_record_knows_no_arm() -> None:

@@ -239,7 +239,7 @@ def test_wrong_help_is_refused() -> None:
         plan_assembly(BRIDGE, gap=0.001)
     with pytest.raises(InputError, match="hands and holds alone"):
         plan_assembly(BRIDGE, supports="posts")
-    with pytest.raises(InputError, match="given blocks for posts and holds"):
+    with pytest.raises(InputError, match="for given blocks and bricks that clutch"):
         l2a.build(np.ones((2, 2, 2), bool), hands=True)
 
 

@@ -161,7 +161,7 @@ STILL = {"cell/journal.py", "export/robot_programs.py"}
 
 def test_arguments_become_options() -> None:
     assert as_options("`seconds=` gives more") == "--seconds gives more"
-    assert as_options("`tool=suction-side`, may") == "--tool suction-side, may"
+    assert as_options("with `tool=suction-side` it does") == "with --tool suction-side it does"
     assert as_options("`cells_wide=4`") == "--cells-wide 4"
     assert as_options("kit `bricks` does; a == b") == "kit `bricks` does; a == b"
 
@@ -188,6 +188,19 @@ def test_a_reason_names_the_option_where_it_is_shown(capsys: pytest.CaptureFixtu
     assert "--seconds gives more" in shown.out
     assert "`" not in shown.err + shown.out
     assert "value [mm]" in shown.err
+
+
+def test_errors_show_what_was_given() -> None:
+    """Not that something was."""
+    vague = {
+        f"{_place(path)}:{node.lineno}"
+        for path, tree in trees().items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("InputError")
+        for got in node.args[1:2]
+        if isinstance(got, ast.Constant) and got.value in ("given", "yes", "set", "something")
+    }
+    assert vague == set()
 
 
 def test_no_text_of_the_library_names_an_option() -> None:

@@ -344,7 +344,7 @@ def test_options_of_drawings_are_refused(
     file = tmp_path / "goals.json"
     file.write_text(json.dumps(GOOD))
     assert main(["build", str(file), "--unit", "mm", "--out", str(tmp_path / "out")]) == 2
-    assert "no option but cell" in capsys.readouterr().err
+    assert "goals are read with cell alone" in capsys.readouterr().err
 
 
 def test_a_plan_shows_its_goals(tmp_path: Path) -> None:

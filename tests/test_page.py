@@ -6,6 +6,7 @@ import base64
 import html
 import itertools
 import json
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -24,9 +25,10 @@ from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import InputError
 from learn2assemble.export.cards import step_cards
+from learn2assemble.geometry.rotations import yaw_matrix
 from learn2assemble.planning.tiling.ordering import polycube
 from learn2assemble.viewer.page import Verdict, render_assembly_page
-from learn2assemble.viewer.scene import side_covers
+from learn2assemble.viewer.scene import first_view, side_covers
 from learn2assemble.viewer.tables import StepNote
 from read_back import STRUCTURES
 
@@ -224,7 +226,11 @@ def test_notes_joints_and_forces_are_those_given() -> None:
     notes = [StepNote("local certificate", 0.25)] * (len(assembly.steps) - 1)
     notes.append(StepNote("program"))
     text = render_assembly_page(
-        assembly, title="x", step_notes=notes, forces=(contacts, forces), moving=["b1"]
+        assembly,
+        title="x",
+        step_notes=notes,
+        forces=(contacts, forces),
+        verdict=Verdict(moving=["b1"]),
     )
     data = page_data(text)
     np.testing.assert_allclose(unpacked(data["joints"]["points"]), contacts.points, atol=1e-5)
@@ -377,6 +383,38 @@ def test_keys_turn_the_view_and_print_has_a_picture_of_it(browser: str, tmp_path
     assert found["step"] == "5"
     assert found["length"] > 3000, "not an empty picture"
     assert found["same"] == [0, 1, 2, 0], "two other views, and back to the first"
+
+
+@pytest.mark.parametrize(
+    ("size", "yaw", "arm", "view"),
+    [
+        ((5, 1, 2), 0, None, (0, -0.5)),
+        ((1, 5, 2), 0, None, (-90, -0.5)),
+        ((5, 1, 2), 30, None, (30, -0.5)),
+        ((2, 2, 8), 0, None, (0, -0.5)),
+        # The arm is behind the wall, and beside it in the picture.
+        ((5, 1, 2), 0, (0.0, 3.0), (0, -0.8)),
+        ((5, 1, 2), 0, (2.0, 3.0), (0, 0.8)),
+        ((5, 1, 2), 0, (0.0, -3.0), (180, -0.8)),
+        ((1, 5, 2), 0, (-3.0, 0.0), (90, -0.8)),
+        # At one end of it, or of a tower: on the left.
+        ((5, 1, 2), 0, (-5.0, 0.0), (0, 0.5)),
+        ((2, 2, 8), 0, (-3.0, 0.0), (0, 0.5)),
+        ((2, 2, 8), 0, (0.0, -3.0), (90, 0.5)),
+    ],
+)
+def test_the_wide_side_faces_the_viewer_first(
+    size: tuple[float, float, float],
+    yaw: float,
+    arm: tuple[float, float] | None,
+    view: tuple[float, float],
+) -> None:
+    half = np.array(size) / 2
+    box = box_block("b", (1 - half).tolist(), (1 + half).tolist())
+    turned = replace(box, vertices=(box.vertices - 1) @ yaw_matrix(math.radians(yaw)).T + 1)
+    base = None if arm is None else np.array(arm) + 1
+    turn, aside = first_view([turned], base)
+    assert (round(math.degrees(turn)) % 360, aside) == (view[0] % 360, view[1])
 
 
 def test_sides_are_left_out_only_where_blocks_cover_them() -> None:

@@ -197,7 +197,7 @@ def test_what_the_arm_refuses_is_not_said_to_be_impossible(
     refused = replace(
         plan,
         status="refused",
-        reason="the arm cannot place block-3; a tool, `tool=suction-side`, may",
+        reason="the arm cannot place block-3; with `tool=suction-side` there is an order",
         steps=(),
         coverage=0.0,
         blocks=replace(plan.blocks, used=0),
@@ -218,9 +218,15 @@ def test_what_the_arm_refuses_is_not_said_to_be_impossible(
     assert both in str(l2a.load_plan(tmp_path).reason)
 
 
+def test_cells_larger_than_a_drawing_are_refused() -> None:
+    """50, where 50mm was meant."""
+    with pytest.raises(l2a.InputError, match="no cell of 50 x 50 x 50 m is half full"):
+        l2a.build(GATE, cell=50.0)
+
+
 def test_files_and_pages_say_both() -> None:
-    text = "a tool, `tool=suction-side`, may; `seconds=` gives more"
-    assert as_options(text) == "a tool, --tool suction-side, may; --seconds gives more"
+    text = "with `tool=suction-side` it does; `seconds=` gives more"
+    assert as_options(text) == "with --tool suction-side it does; --seconds gives more"
     assert as_both(text) == (
-        "a tool, --tool suction-side / tool='suction-side', may; --seconds / seconds= gives more"
+        "with --tool suction-side / tool='suction-side' it does; --seconds / seconds= gives more"
     )

@@ -159,7 +159,11 @@ def test_a_layout_has_arms(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "arms", "words"),
     [
-        ({"arms": TWO, "base": LEFT}, "ab", "base: got 'given', expected none beside arms"),
+        (
+            {"arms": TWO, "base": LEFT},
+            "ab",
+            "base: got [0.0, -0.5, 0.0, 1.571], expected none beside arms",
+        ),
         ({"arms": [*TWO, TWO[0]]}, "ab", "arms: got '3 arms', expected a list of 1 to 2 arms"),
         ({"arms": [TWO[0], TWO[0]]}, "ab", "arms[1].name: got 'a', expected a name that no other"),
         ({"arms": [{"arm": "pandas"}]}, "a", "arms[0].arm: got 'pandas'"),

@@ -207,6 +207,27 @@ def test_joints_are_bridged_with_a_limited_heap_too(
     assert bridged >= 0.9 * total
 
 
+def test_a_heap_with_halves_is_laid_in_bond() -> None:
+    """As without counts: not the fewest bricks, which have all joints one above the other."""
+    halves = replace(SMALL, kinds=tuple(k for k in SMALL.kinds if len(k.cells) < 3))
+    assert [len(kind.cells) for kind in halves.kinds] == [1, 2]
+    wanted = np.ones((12, 1, 5), bool)
+    for halves_there, blocks in ((10, 32), (3, 30)):
+        counts = (halves_there, 40)
+        kinds = zip(halves.kinds, counts, strict=True)
+        kit = replace(halves, kinds=tuple(replace(kind, count=n) for kind, n in kinds))
+        made = tile(wanted, kit)
+        check_cover(made, kit)
+        bridged, total = seams_bridged(made, kit)
+        assert (len(made.placements), bridged == total) == (blocks, blocks == 32)
+    assert (
+        tile(wanted, halves).placements
+        == tile(
+            wanted, replace(halves, kinds=tuple(replace(kind, count=99) for kind in halves.kinds))
+        ).placements
+    )
+
+
 @settings(max_examples=10, deadline=None)
 @given(length=st.integers(3, 5), height=st.integers(2, 3), seed=st.integers(0, 999))
 def test_no_cover_with_the_blocks_of_a_heap_continues_fewer_joints(

@@ -485,6 +485,7 @@ def test_fingers_take_what_stands_alone_and_say_what_does_not() -> None:
     thick = carry_out(planned(np.ones((3, 3, 1), bool), cubes), gripper)
     assert thick.status == "refused"
     assert "cannot place block-" in (thick.reason or "")
+    assert "; with `tool=suction` there is an order" in (thick.reason or "")
 
 
 def test_reach_reports_the_best_base() -> None:

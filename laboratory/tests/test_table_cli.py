@@ -369,8 +369,15 @@ def test_a_training_is_kept_with_its_agent(
     assert list(read_runs(pack)) == ["tiny-s0", "tiny-s1.stage1"]
     run.with_name("tiny-s1.stage1").rename(run)
     pack.unlink()
-    l2a(capsys, *words)
-    assert pack.read_bytes() == bytes_
+    # An agent of this name is there, and then its log, too.
+    for what in (str(agents / "tiny-s0.safetensors"), "tiny-s0"):
+        capsys.readouterr()
+        assert main([str(word) for word in words], command_line()) == 2
+        said = capsys.readouterr().err
+        assert f"got '{what}'" in said
+        assert said.endswith("; --overwrite replaces it\n")
+        l2a(capsys, *words, "--overwrite")
+        assert pack.read_bytes() == bytes_
 
 
 def test_the_committed_runs_say_what_was_trained() -> None:

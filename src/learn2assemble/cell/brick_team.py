@@ -15,7 +15,7 @@ from learn2assemble.cell.reach import cells_of
 from learn2assemble.cell.taking_apart import Hands, arrange_bricks, plan_in_order
 from learn2assemble.cell.team import told_of
 from learn2assemble.cell.workcell import Progress, StepOf, Workcell
-from learn2assemble.planning.brick_plan import plan_for_arm
+from learn2assemble.planning.brick_plan import plan_for_arm, with_hands
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.kinematic import KinematicCell
 
@@ -48,10 +48,11 @@ def bricks_by_team(
     number, why = next(iter(order.stuck.items()))
     blocks = [jobs[0].pieces[k].id for k in order.stuck]
     listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
+    reason, advice = f"{jobs[0].pieces[number].id}: {why}", with_hands(assembly)
     refused = replace(
         plan,
         status="refused",
-        reason=f"neither arm can place {listed}: {jobs[0].pieces[number].id}: {why}",
+        reason=f"neither arm can place {listed}: {reason}" + (f"; {advice}" if advice else ""),
         steps=(),
         coverage=0.0,
         blocks=replace(plan.blocks, used=0),

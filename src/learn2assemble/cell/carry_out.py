@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
@@ -14,15 +15,19 @@ from learn2assemble.cell.arrange import Structure, arrange
 from learn2assemble.cell.bricks import BrickStructure
 from learn2assemble.cell.building import Building, Kept, Prepared
 from learn2assemble.cell.cameras import through_cameras
-from learn2assemble.cell.reach import cells_of, set_up
+from learn2assemble.cell.reach import cells_of, set_up, with_other_tools
 from learn2assemble.cell.report import Witness, Worked, arm_report, carried_out, words_of
 from learn2assemble.cell.taking_apart import Hands, arrange_bricks, plan_in_order
 from learn2assemble.cell.workcell import Job, Progress, StepOf, Workcell, job_of
 from learn2assemble.cell.world import OBSTACLE_DENSITY, WorkcellBlocks
+from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import yaw_quaternion
+from learn2assemble.linear_programs import Clock
 from learn2assemble.motion.plant import Plant, PlantError
 from learn2assemble.motion.setup import BlockKind, Setup, open_plant
+from learn2assemble.planning.brick_plan import with_hands
 from learn2assemble.planning.plan import Plan
+from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.kinematic import KinematicCell
 
@@ -31,6 +36,8 @@ if TYPE_CHECKING:
 
 # ---------------------------------------------------------------- the whole of it
 
+MOST_STEPS, _SECONDS = 120, 20.0
+"""Of a plan for which other tools are tried, and after so long no further one is [s]."""
 FINGER_ROOMS = (0.011, 0.02, 0.03, 0.036)
 """Gaps between blocks that are tried where fingers have no room [m]."""
 
@@ -97,26 +104,7 @@ def carry_out(
     found = found or prepare(plan, workcell, joint, progress)
     job, order = found.job, found.order
     if order.stuck:
-        number, why = next(iter(order.stuck.items()))
-        blocks = [job.pieces[k].id for k in order.stuck]
-        listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
-        gone = any(step.block == number and step.remove for step in job.steps)
-        gone = gone and StepOf(number) in order.steps
-        what = "take away" if gone else "place"
-        reason = f"the arm cannot {what} {listed}: {job.pieces[number].id}: {why}"
-        if gone and not (job.arm.suction and job.arm.suction.cups[1:]):
-            reason += "; a tool that also takes hold of side faces, `tool=suction-side`, may"
-        report = arm_report(job, workcell, None)
-        return replace(
-            plan,
-            status="refused",
-            reason=reason,
-            steps=(),
-            coverage=0.0,
-            arm=report,
-            blocks=replace(plan.blocks, used=0),
-            assembly=replace(plan.assembly, steps=(), not_built=()),
-        )
+        return _refused(plan, found, workcell, advise(plan, workcell, joint, progress))
     if plan.assembly.holds:
         plan = plan_in_order(plan, order.steps)
     setup = setup_of(job, workcell, found.structure)
@@ -134,6 +122,54 @@ def carry_out(
     reason = building.run(progress)
     took = time.perf_counter() - started
     return carried_out(plan, [Worked(building, workcell, witness)], reason, took, plant)
+
+
+def _refused(plan: Plan, found: Prepared, workcell: Workcell, advice: str) -> Plan:
+    """What comes of a plan of which the arm cannot do every step, in whatever order."""
+    assert plan.assembly is not None
+    job, order = found.job, found.order
+    number, why = next(iter(order.stuck.items()))
+    blocks = [job.pieces[k].id for k in order.stuck]
+    listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
+    gone = any(step.block == number and step.remove for step in job.steps)
+    what = "take away" if gone and StepOf(number) in order.steps else "place"
+    reason = f"the arm cannot {what} {listed}: {job.pieces[number].id}: {why}"
+    return replace(
+        plan,
+        status="refused",
+        reason=f"{reason}; {advice}" if advice else reason,
+        steps=(),
+        coverage=0.0,
+        arm=arm_report(job, workcell, None),
+        blocks=replace(plan.blocks, used=0),
+        assembly=replace(plan.assembly, steps=(), not_built=()),
+    )
+
+
+def advise(plan: Plan, workcell: Workcell, joint: float, progress: Progress) -> str:
+    """With what a plan that the arm cannot carry out is built, in one clause; empty where nothing
+    was found. All of it is tried: every other tool of the arm, on plans of up to
+    :data:`MOST_STEPS` steps; of bricks that clutch, which fingers alone hold, hands.
+
+    Args:
+        plan, joint: as a build with another tool would begin with them.
+    """
+    assert plan.assembly is not None
+    if plan.assembly.holds:
+        return with_hands(plan.assembly)
+    if len(plan.steps) > MOST_STEPS:
+        return ""
+    # Of the processor: on a busy machine as much is tried.
+    tried, clock = list[str](), Clock(_SECONDS, time.process_time)
+    for tool in with_other_tools(get_arm(workcell.arm, workcell.tool)):
+        if clock.left <= 0:
+            return ""
+        progress(f"trying whether the arm does it with the tool {tool}")
+        with suppress(InputError):  # It holds not every block, or there is no room for magazines.
+            if not prepare(plan, replace(workcell, tool=tool), joint).order.stuck:
+                return f"with `tool={tool}` there is an order in which the arm does every step"
+        tried.append(tool)
+    return f"no other tool of the arm does: {', '.join(tried)}" if tried else ""
 
 
 def setup_of(job: Job, workcell: Workcell, structure: Structure | None = None) -> Setup:
@@ -177,7 +213,7 @@ def carry_out_cells(
     if not plan.complete:
         return plan
     found = prepare(plan, workcell, kit.joint_gap, progress)
-    gap = kit.joint_gap
+    first, gap = plan, kit.joint_gap
     for room in FINGER_ROOMS:
         if not found.order.stuck or found.job.arm.suction is not None or room <= kit.joint_gap:
             continue
@@ -187,6 +223,8 @@ def carry_out_cells(
             again = prepare(other, workcell, room, progress)
             if len(again.order.steps) > len(found.order.steps):
                 plan, found, gap = other, again, room
+    if found.order.stuck:
+        return _refused(plan, found, workcell, advise(first, workcell, kit.joint_gap, progress))
     return carry_out(plan, workcell, joint=gap, progress=progress, found=found)
 
 

@@ -11,6 +11,7 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -39,7 +40,7 @@ from learn2assemble.cell.world import (
     rows_of,
 )
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.geometry.rotations import quaternion_matrix, yaw_matrix
 from learn2assemble.robot.approach import ApproachCache
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.bodies import Shape
@@ -56,6 +57,7 @@ from learn2assemble.robot.moves import (
     turned,
     turns,
 )
+from learn2assemble.robot.registry import TOOLS
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly
@@ -84,6 +86,8 @@ GRID, MOST_TRIED = 0.04, 150
 """Between places that are tried for a magazine [m], and how many are."""
 MOST_WAYS = 12
 """Moves with which a magazine is tried."""
+LOW_HEIGHT = 0.05
+"""Above the table at which it is shown how far an arm reaches: that of a block that lies [m]."""
 LOW = 0.25
 """Structures lower than this need no raised base [m]."""
 
@@ -247,6 +251,52 @@ class ReachReport:
         return not self.here.out
 
 
+def on_table(arm: Arm, height: float = LOW_HEIGHT) -> tuple[np.ndarray, ...]:
+    """Where the tool of an arm, upright as at home, reaches at a height above the table [m].
+
+    How far is looked for along one line from its base, which its first joint turns round.
+
+    Returns:
+        outlines of the area, float64[n, 2] each [m, world]: where the arm can turn all the way
+        round, the outer and the inner one, else one; none where it reaches nothing.
+    """
+    base = arm.base_position[:2]
+    chain = get_chain(arm)
+    point, rotation = forward(chain, arm.home)
+    facing = math.atan2(point[1] - base[1], point[0] - base[0])
+
+    def place(radius: float, turn: float) -> np.ndarray:
+        angle = facing + turn
+        return base + radius * np.array([math.cos(angle), math.sin(angle)])
+
+    def reached(radius: float, turn: float = 0.0) -> bool:
+        start = arm.home.copy()
+        start[0] += turn
+        at = np.array([*place(radius, turn), height])
+        return solve(arm, at, yaw_matrix(turn) @ rotation, start).ok
+
+    longest = float(np.linalg.norm([*chain.offset[1:], chain.tool_offset], axis=1).sum())
+    radii = [r for r in np.linspace(0.1, longest, 80).tolist() if reached(r)]
+    if not radii:
+        return ()
+    low, high, middle = radii[0], radii[-1], radii[len(radii) // 2]
+
+    def furthest(way: int) -> float:
+        turns = (math.radians(5 * k) for k in range(37))
+        return max(
+            itertools.takewhile(lambda turn: reached(middle, way * turn), turns), default=0.0
+        )
+
+    first, last = furthest(-1), furthest(1)
+    count = 1 + round(math.degrees(first + last) / 5)
+    outer, inner = (
+        np.array([place(r, turn) for turn in np.linspace(-first, last, count)]) for r in (high, low)
+    )
+    if first + last >= 2 * math.pi - 1e-6:
+        return outer[:-1], inner[:-1]
+    return (np.concatenate([outer, inner[::-1]]),)
+
+
 def report_reach(
     plan: Plan, arm: str, tool: str = "suction", site: Site | None = None
 ) -> ReachReport:
@@ -262,19 +312,54 @@ def report_reach(
     if plan.assembly is None:
         raise InputError("design", plan.reason or "no blocks", "a design that blocks fill")
     pieces = with_rests(pieces_of(plan.assembly), get_arm(arm, tool))
-    check_held(get_arm(arm, tool), pieces)
+    check_held(get_arm(arm, tool), pieces, plan.assembly.holds)
     best = here = suggest(arm, tool, pieces)
     if site is not None and site.base is not None:
         here = reach_from(place_arm(arm, tool, site.base), site.base, pieces)
     return ReachReport(arm, tool, plan.assembly, here, best)
 
 
-def check_held(arm: Arm, pieces: Sequence[Piece]) -> None:
+def check_held(arm: Arm, pieces: Sequence[Piece], studs: bool = False) -> None:
     """Refuse blocks that the tool cannot hold at any face.
 
+    Args:
+        studs: whether they have some, on which no cup holds.
+
     Raises:
-        InputError: naming them, by reason.
+        InputError: naming them, by reason, and a tool that holds all of them.
     """
+    names = _not_held(arm, pieces)
+    if not names:
+        return
+    words = list[str]()
+    for why, blocks in names.items():
+        listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
+        words.append(f"{listed}: {why}")
+    more = f" (and {len(words) - 6} more reasons)" if len(words) > 6 else ""
+    others = {} if studs else with_other_tools(arm)
+    other = next((tool for tool, one in others.items() if not _not_held(one, pieces)), None)
+    raise InputError(
+        f"tool {arm.tool_name}",
+        "; ".join(words[:6]) + more,
+        "blocks it can hold; "
+        + (f"`tool={other}` holds all of them" if other else "no other tool holds all of them"),
+    )
+
+
+def with_other_tools(arm: Arm) -> dict[str, Arm]:
+    """The arm, where its file says, with every other tool that it can have, by its name; for a cup
+    other cups come first, which come to a block alike."""
+    found: dict[str, Arm] = {}
+    for tool in TOOLS:
+        with suppress(InputError):  # It has no fingers.
+            found[tool] = get_arm(arm.name, tool)
+    others = [name for name, one in found.items() if one.tool_name != arm.tool_name]
+    others.sort(key=lambda name: (found[name].suction is None) != (arm.suction is None))
+    return {name: found[name] for name in others}
+
+
+def _not_held(arm: Arm, pieces: Sequence[Piece]) -> dict[str, list[str]]:
+    """Names of the blocks that the tool cannot hold at any face, by reason."""
     seen: dict[tuple[Shape, Turn], str | None] = {}
     names: dict[str, list[str]] = {}
     for piece in pieces:
@@ -284,19 +369,7 @@ def check_held(arm: Arm, pieces: Sequence[Piece]) -> None:
         why = seen[key]
         if why is not None:
             names.setdefault(why, []).append(piece.id)
-    if not names:
-        return
-    words = list[str]()
-    for why, blocks in names.items():
-        listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
-        words.append(f"{listed}: {why}")
-    more = f" (and {len(words) - 6} more reasons)" if len(words) > 6 else ""
-    other = "gripper" if arm.suction else "suction"
-    raise InputError(
-        f"tool {arm.tool_name}",
-        "; ".join(words[:6]) + more,
-        f"blocks it can hold; `tool={other}` may",
-    )
+    return names
 
 
 def why_not_turned(arm: Arm, piece: Piece) -> str | None:
@@ -329,7 +402,7 @@ def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
     job = replace(job, obstacles=(*site.obstacles, *site.kept_out), pieces=every)
     # What can be done by hand asks nothing of the arm.
     pieces = [piece for piece in every if not (job.hands and piece.prop)]
-    check_held(get_arm(name, tool), pieces)
+    check_held(get_arm(name, tool), pieces, job.assembly.holds)
     order = [step.block for step in job.steps if not step.remove]
     given = given_sources(site, every, order)
     top = max(p.top for p in pieces)

@@ -214,7 +214,9 @@ def _site(value: Any, source: str, folder: Path) -> Site:
     arms: tuple[SiteArm, ...] = ()
     if "arms" in root:
         if base is not None:
-            raise InputError(f"{source}: base", "given", "none beside arms, which have their own")
+            raise InputError(
+                f"{source}: base", list(base), "none beside arms, which have their own"
+            )
         given: Any = root.get("magazines", ())
         count = len(cast("Sequence[object]", given)) if isinstance(given, Sequence) else 0
         arms = parse_arms(root["arms"], f"{source}: arms", count)

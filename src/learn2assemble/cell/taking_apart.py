@@ -33,10 +33,7 @@ TRIES = 300, 10
 """Bricks taken off before the search gives up: so many, and so many for each one there is."""
 MOST_BESIDE, MOST_PLACES = 12, 6
 """Bricks of a part that is built beside, and places on the table that are tried for it."""
-_NO_ORDER = (
-    "no order is known in which what stands before it bears that it is pressed home; hands that "
-    "hold may help, without an arm (`hands=`)"
-)
+_NO_ORDER = "no order is known in which what stands before it bears that it is pressed home"
 APART, GRID = 0.05, 0.04
 """Between what is built beside and everything else, and between places that are tried [m]."""
 

@@ -78,14 +78,17 @@ class TeamReach:
         return self.count - len(set[int]().union(*(reach.out for reach in self.reaches)))
 
 
-def team_reach(arms: Sequence[SiteArm], pieces: Sequence[Piece]) -> TeamReach:
+def team_reach(arms: Sequence[SiteArm], pieces: Sequence[Piece], studs: bool = False) -> TeamReach:
     """What arms reach from their bases, or from opposite sides of the site where these are free.
+
+    Args:
+        studs: whether blocks have some, on which no cup holds.
 
     Raises:
         InputError: for blocks that a tool cannot hold, and for bases on one spot.
     """
     for one in arms:
-        check_held(get_arm(one.arm, one.tool or TOOL), pieces)
+        check_held(get_arm(one.arm, one.tool or TOOL), pieces, studs)
     if all(one.base is not None for one in arms):
         _check_apart(arms)
         return _reached(arms, pieces)
@@ -150,7 +153,7 @@ def report_team(plan: Plan, arms: Sequence[SiteArm]) -> TeamReach:
     if plan.assembly is None:
         raise InputError("design", plan.reason or "no blocks", "a design that blocks fill")
     bare = _without_props(plan.assembly)
-    return replace(team_reach(arms, pieces_of(bare)), assembly=bare)
+    return replace(team_reach(arms, pieces_of(bare), bare.holds), assembly=bare)
 
 
 def _without_props(assembly: Assembly) -> Assembly:
@@ -184,7 +187,7 @@ def set_up_team(assembly: Assembly, arms: Sequence[SiteArm], site: Site) -> list
     if any(block.support for block in assembly.blocks):
         raise InputError("design", "blocks that stand before the first step", "none, for an arm")
     pieces = pieces_of(assembly)
-    found = team_reach(arms, pieces)
+    found = team_reach(arms, pieces, assembly.holds)
     if out := found.out:
         names = ", ".join(pieces[k].id for k in out[:3])
         names += f" and {len(out) - 3} more" if out[3:] else ""

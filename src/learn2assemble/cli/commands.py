@@ -196,7 +196,7 @@ def _build(options: argparse.Namespace, output: Output) -> int:
     if options.preview is not None:
         return _preview(options, output)
     if options.overwrite:
-        raise InputError("--overwrite", "given", "--preview beside it; a build takes a new folder")
+        raise InputError("--overwrite", "no --preview", "one beside it; a build takes a new folder")
     from learn2assemble.jobs.build import arms_that_build, build, is_task
     from learn2assemble.planning.tiling.planners import PLANNERS
 

@@ -97,8 +97,9 @@ def _train(options: argparse.Namespace, output: Output) -> None:
             }
         )
         return
-    if options.workers or options.ray:
-        raise InputError("--workers or --ray", "given", "--seeds N beside it")
+    for name in ("workers", "ray"):
+        if getattr(options, name):
+            raise InputError(f"--{name}", getattr(options, name), "none without --seeds N")
     run = train(options.task, options.out, **chosen)
     output.table(f"{run.task} ({run.config})", ("quantity", "value"), list(run.metrics.items()))
     output.say(f"agent: {options.out / 'agent.safetensors'}")
@@ -162,7 +163,9 @@ def _evaluate(options: argparse.Namespace, output: Output) -> None:
     if options.out is not None:
         check_new(options.out, "--out")
     if options.legacy and options.search == "none":
-        raise InputError("--legacy", "given", "--search NAME beside it")
+        raise InputError(
+            "--legacy", "--search none", f"--search NAME beside it, one of {', '.join(SEARCHES)}"
+        )
     with tqdm(total=options.episodes, unit=" episodes", desc=task.name, delay=1) as bar:
 
         def advance(done: int) -> None:
@@ -295,8 +298,12 @@ def _agents(options: argparse.Namespace, output: Output) -> None:
         files = fetch_agents(options.names, options.source, progress=output.progress)
         output.say(f"{len(files)} agents in {files[0].parent}" if files else "no agents")
         return output.finish({"files": [str(file) for file in files]})
-    if options.names or options.source is not None:
-        raise InputError("NAME or --from", "given", "nothing, but with fetch")
+    if options.source is not None:
+        raise InputError("--from", options.source, "none, but with fetch")
+    if options.names:
+        raise InputError(
+            "NAME", " ".join(options.names), f"none with {options.action}; fetch takes names"
+        )
     here = {name: agent_info(name)["task"] for name in agent_files()}
     absent = {name: told.bytes for name, told in listed_agents().agents.items() if name not in here}
     output.table("", ("agent", "task"), list(here.items()))

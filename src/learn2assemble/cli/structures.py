@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,8 +27,11 @@ from learn2assemble.robot.registry import ARMS
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly
+    from learn2assemble.cell.reach import Base
     from learn2assemble.cell.team import TeamReach
     from learn2assemble.cli.output import Output
+    from learn2assemble.viewer.arm import StandingArm
+    from learn2assemble.viewer.page import Verdict
 
 COMMANDS: dict[str, Command] = {}
 _PLACE_KEYS = ("place", "kind", "blocks", "world_mm", "turn_deg", "base_mm", "refill")
@@ -44,15 +48,15 @@ def _claimed(folder: Path | None) -> AbstractContextManager[None]:
 
 
 def _write_page(
-    folder: Path | None, output: Output, assembly: Assembly, status: str, **words: Any
+    folder: Path | None, output: Output, assembly: Assembly, verdict: Verdict, **words: Any
 ) -> dict[str, str]:
     """The page of an assembly in a claimed folder, where one is asked for; the files written."""
     if folder is None:
         return {}
-    from learn2assemble.viewer.page import Verdict, render_assembly_page
+    from learn2assemble.viewer.page import render_assembly_page
 
     page = folder / "view.html"
-    text = render_assembly_page(assembly, verdict=Verdict(status), **words)
+    text = render_assembly_page(assembly, verdict=verdict, **words)
     write_file(page, text, "page")
     output.say(f"page: {page}")
     return {"page": str(page)}
@@ -76,6 +80,7 @@ def _reach(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where everything is within reach, else 1."""
     from learn2assemble.cell.team import TeamReach
     from learn2assemble.jobs.build import reach
+    from learn2assemble.viewer.page import Verdict
 
     with _claimed(options.out):
         found = reach(
@@ -112,10 +117,13 @@ def _reach(options: argparse.Namespace, output: Output) -> int:
             options.out,
             output,
             found.assembly,
-            "within reach" if found.complete else "out of reach",
+            Verdict(
+                "within reach" if found.complete else "out of reach",
+                moving=[blocks[k].id for k in here.out],
+            ),
             title=found.assembly.name or "reach",
             facts=facts,
-            moving=[blocks[k].id for k in here.out],
+            arms=_standing(options.out, found.assembly, [(found.arm, found.tool, here.base)]),
         )
     output.finish(
         {
@@ -132,8 +140,30 @@ def _reach(options: argparse.Namespace, output: Output) -> int:
     return 0 if found.complete else 1
 
 
+def _standing(
+    out: Path | None, assembly: Assembly, placed: Sequence[tuple[str, str, Base]]
+) -> list[StandingArm]:
+    """Arms as the page shows them, where one is written: over the structure, as they wait.
+
+    Args:
+        placed: name, tool and base of each.
+    """
+    if out is None:
+        return []
+    from learn2assemble.cell.pieces import pieces_of
+    from learn2assemble.cell.reach import on_table, place_arm, resting
+    from learn2assemble.viewer.arm import StandingArm
+
+    pieces = pieces_of(assembly)
+    arms = [resting(place_arm(name, tool, at), at[3], pieces) for name, tool, at in placed]
+    return [StandingArm(arm, on_table(arm)) for arm in arms]
+
+
 def _team_reach(found: TeamReach, out: Path | None, output: Output) -> int:
     """What each of several arms and both reach."""
+    from learn2assemble.cell.team import TOOL
+    from learn2assemble.viewer.page import Verdict
+
     assert found.assembly is not None
     blocks = found.assembly.blocks
     rows = [
@@ -148,10 +178,17 @@ def _team_reach(found: TeamReach, out: Path | None, output: Output) -> int:
         out,
         output,
         found.assembly,
-        "out of reach" if none else "within reach",
+        Verdict("out of reach" if none else "within reach", moving=none),
         title=found.assembly.name or "reach",
         facts=[(row[0], f"{row[1]} at {row[2]}: {row[3]} blocks") for row in rows],
-        moving=none,
+        arms=_standing(
+            out,
+            found.assembly,
+            [
+                (a.arm, a.tool or TOOL, r.base)
+                for a, r in zip(found.arms, found.reaches, strict=True)
+            ],
+        ),
     )
     output.finish(
         {
@@ -262,6 +299,7 @@ def _check(options: argparse.Namespace, output: Output) -> int:
 
     from learn2assemble.assembly.files import read_assembly
     from learn2assemble.statics.rigid_blocks import check
+    from learn2assemble.viewer.page import Verdict
 
     with _claimed(options.out):
         assembly = read_assembly(options.file, unit=options.unit, kit=options.kit)
@@ -288,10 +326,9 @@ def _check(options: argparse.Namespace, output: Output) -> int:
             options.out,
             output,
             assembly.finished,
-            found.verdict,
+            Verdict(found.verdict, moving=found.moving),
             title=assembly.name or options.file.stem,
             facts=[(name, str(value)) for name, value in rows],
-            moving=found.moving,
             forces=(found.contacts, found.forces),
         )
     output.finish(

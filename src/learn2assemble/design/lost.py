@@ -200,6 +200,8 @@ def _openings(area: Any, scale: np.ndarray) -> list[Any]:
     """What an area leaves free of the rectangle around it, with something on either side."""
     import shapely
 
+    if area.is_empty:  # No cell is half full.
+        return []
     library: Any = shapely
     left, low, right, high = area.bounds
     slack = ALIKE * float(scale.min())

@@ -83,13 +83,15 @@ def read_given(design: object, kit: Kit | None, reading: Mapping[str, Any]) -> o
         given = _reading(ARRAY, kit, reading)
         voxels = solids.voxels_of(cast("np.ndarray", design), given.colours, ARRAY)
         return _from_voxels(voxels, Origin(given, ARRAY, ARRAY, given.kit))
-    _refuse(set(reading), "a design file or an array, which it tells how to read")
+    _refuse(reading, "a design file or an array, which it tells how to read")
     return design
 
 
-def _refuse(reading: set[str], expected: str) -> None:
-    if reading:
-        raise InputError(", ".join(sorted(reading)), "given", expected)
+def _refuse(reading: Mapping[str, Any], expected: str, *but: str) -> None:
+    """Refuse ways of reading that mean nothing here, ``but`` for those of these names."""
+    given = {name: value for name, value in sorted(reading.items()) if name not in but}
+    for name, value in given.items():
+        raise InputError(name, str(value) if isinstance(value, Path) else value, expected)
 
 
 def _reading(kind: str, kit: Kit | None, reading: Mapping[str, Any]) -> Reading:
@@ -103,7 +105,7 @@ def _reading(kind: str, kit: Kit | None, reading: Mapping[str, Any]) -> Reading:
 
 
 def _goals(file: DesignFile, kit: Kit | None, reading: Mapping[str, Any]) -> Goals:
-    _refuse(set(reading) - {"cell"}, "no option but cell, for goals")
+    _refuse(reading, "none; goals are read with cell alone", "cell")
     return parse_goals(file.document, file.source, kit, reading.get("cell"))
 
 
@@ -112,7 +114,7 @@ def _blocks(file: DesignFile, kit: Kit | None, reading: Mapping[str, Any]) -> As
 
     joints: Any = reading.get("kit")
     if file.kind == "bricks":
-        _refuse(set(reading) - {"kit"}, "a design of cells; a file of bricks says it all")
+        _refuse(reading, "none; a file of bricks says it all", "kit")
         joints = kit or joints
     document = file.document
     return parse_assembly(file.content, file.source, file.name, document=document, kit=joints)
@@ -127,7 +129,7 @@ def _objects(file: DesignFile, kit: Kit | None, reading: Mapping[str, Any]) -> o
 
     given = Reading.of(reading)
     given.check(file.kind)
-    _refuse(set(reading) - {"blocks", "unit", "up"}, "unit and up alone with blocks")
+    _refuse(reading, "none with blocks; unit and up alone", "blocks", "unit", "up")
     if file.kind not in KINDS:
         raise InputError("blocks", file.source, f"a mesh of {', '.join(KINDS)}")
     unit, up = _metres(given, file.kind == "glb"), _upward(given)

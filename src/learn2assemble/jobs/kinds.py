@@ -15,6 +15,7 @@ from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.goals import Goals
 from learn2assemble.errors import (
     InputError,
+    check_arguments,
     check_name,
 )
 from learn2assemble.planning.plan import Plan
@@ -146,9 +147,18 @@ def check_asked(
     _, holds, hands, shell = help_
     if shell is not None and not clutch:
         raise InputError("shell", shell, "a design of cells and a kit that clutches, such as lego")
-    if not (given or clutch) and (holds or hands or help_.supports == "posts"):
-        got = f"holds={holds}" if holds else "hands" if hands else f"supports={help_.supports!r}"
-        raise InputError("design", got, "an assembly of given blocks for posts and holds")
+    if not (given or clutch):
+        none = "none; they are for given blocks and bricks that clutch"
+        check_arguments(
+            help_._asdict(),
+            ("holds", not holds, none),
+            ("hands", not hands, none),
+            (
+                "supports",
+                help_.supports != "posts",
+                "auto, none or props; posts carry given blocks",
+            ),
+        )
 
 
 def goals_plan(
@@ -263,7 +273,7 @@ def _for_given(design: Assembly, workcell: Workcell) -> Workcell:
         for p, b in zip(pieces_of(design), design.blocks, strict=True)
         if not (b.support or b.prop)
     ]
-    check_held(get_arm(workcell.arm, workcell.tool), pieces)
+    check_held(get_arm(workcell.arm, workcell.tool), pieces, design.holds)
     return replace(workcell, hands=True)
 
 
@@ -373,8 +383,9 @@ def _check_bricks(
     """Refuse what bricks that clutch do not take."""
     if not np.allclose(design.cell, kit.cell, rtol=1e-6):
         raise InputError("cell", list(design.cell), f"cells of kit {kit.name}, {list(kit.cell)} m")
-    if given["gap"] is not None or given["friction"] is not None:
-        raise InputError("gap, friction", "given", f"none: bricks of kit {kit.name} clutch")
+    for name in ("gap", "friction"):
+        if given[name] is not None:
+            raise InputError(name, given[name], f"none: bricks of kit {kit.name} clutch")
     if help_.supports in ("props", "posts"):
         raise InputError("supports", help_.supports, f"hands: bricks of kit {kit.name} clutch")
     if planner != EXACT:

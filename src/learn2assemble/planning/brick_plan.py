@@ -18,6 +18,8 @@ from learn2assemble.statics.proofs import CLUTCH, CLUTCH_TIGHT
 VERIFIED = "balance of joints that hold, in every step, also under its press"
 _LEAST = 1.0
 """Seconds that are left to try what would help."""
+_TRIED = 10.0
+"""Seconds for that where no limit was said."""
 
 
 def plan_for_arm(assembly: Assembly) -> Plan:
@@ -69,13 +71,34 @@ def plan_bricks(
         found, note = order.follow(assembly.steps, help_)
     if found is None:
         found = order.find(help_, clock, progress)
-    if found.status == "not found" and not help_.hands and clock.left > _LEAST:
-        more = order.find(Supports(holds=max(1, help_.holds), hands=True), clock)
-        if more.status == "complete":
-            held = sum(step.action == "hold" for step in more.steps)
-            reason = f"{found.reason}; with hands it is built (`hands=`), which hold {held} times"
-            found = replace(found, reason=reason)
+    alone = found.status == "not found" and not help_.hands and clock.left > _LEAST
+    if alone and (said := _by_hands(order, help_.holds, clock)):
+        found = replace(found, reason=f"{found.reason}; {said}")
     friction = assembly.friction, assembly.friction
     plan = plan_of(order.assembly, found, friction, None, started)
     design = replace(plan.design, note=note)
     return replace(plan, verified_by=VERIFIED, design=design)
+
+
+def with_hands(assembly: Assembly) -> str:
+    """That hands build bricks that an arm does not, in one clause; empty where that is not found
+    in some seconds.
+
+    Args:
+        assembly: bricks on a lattice of studs whose joints clutch, that stand when finished.
+    """
+    said = _by_hands(BrickOrder(assembly.finished), 0, Clock(_TRIED, time.process_time))
+    return f"without an arm, {said}" if said else ""
+
+
+def _by_hands(order: BrickOrder, holds: int, clock: Clock) -> str:
+    """The same of bricks whose order is looked for.
+
+    Args:
+        holds: hands there are, at least.
+    """
+    found = order.find(Supports(holds=max(1, holds), hands=True), clock)
+    if found.status != "complete":
+        return ""
+    held = sum(step.action == "hold" for step in found.steps)
+    return f"with hands it is built (`hands=`), which hold {held} times"

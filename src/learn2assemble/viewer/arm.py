@@ -10,11 +10,12 @@ import numpy as np
 
 from learn2assemble.geometry.rotations import matrix_quaternion
 from learn2assemble.motion.record import StepRecord
+from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.shape import LinkPart
 from learn2assemble.viewer.errors import truth_data
 from learn2assemble.viewer.html import NUMBER, packed, row, speed_options, to_base64
-from learn2assemble.viewer.playback import Playback, PlayedArm, ReplaySegment, split
+from learn2assemble.viewer.playback import Playback, PlayedArm, ReplaySegment, split, standing
 from learn2assemble.viewer.words import (
     OUTCOME_WORDS,
     arm_summary,
@@ -34,7 +35,22 @@ _BARS = (
 """Of one arm, of several."""
 
 
+REACH_WORDS = "where the upright tool reaches, 50 mm above the table"
 NEAR_VIEW = '<button type="button" id="near-view">Near view</button>'
+
+
+class StandingArm(NamedTuple):
+    """An arm that stands at home, and what it reaches."""
+
+    arm: Arm
+    area: Sequence[np.ndarray]
+    """Outlines of what it reaches on the table, float64[n, 2] each, none, one, or the outer and the
+    inner one [m, world]."""
+
+    @property
+    def base(self) -> np.ndarray:
+        """float64[2] [m, world]."""
+        return self.arm.base_position[:2]
 
 
 class Labels(NamedTuple):
@@ -199,8 +215,16 @@ def arm_data(playback: Playback, labels: Labels) -> dict[str, Any]:
         ],
         "start": labels.captions[0],
         "truth": truth_data(playback),
-        "extent": extent(playback),
-        "turn": _short(playback.side),
+        "extent": extent(playback.arms, playback.record.steps),
+    }
+
+
+def standing_data(arms: Sequence[StandingArm]) -> dict[str, Any]:
+    """The same of arms that stand at home, with where they reach."""
+    return {
+        "robots": [_robot(standing(one.arm)) for one in arms],
+        "areas": [[line.round(4) for line in one.area] for one in arms if one.area],
+        "extent": extent([standing(one.arm) for one in arms]),
     }
 
 
@@ -262,10 +286,12 @@ def _segment(playback: Playback, number: int, labels: Labels) -> dict[str, Any]:
     }
 
 
-def extent(playback: Playback) -> np.ndarray:
-    """float64[m, 3]: outermost points of what joints and tools of arms reach [m, world]."""
-    points: list[np.ndarray] = []
-    for arm in playback.arms:
+def extent(arms: Sequence[PlayedArm], steps: Sequence[StepRecord] = ()) -> np.ndarray:
+    """float64[m, 3]: outermost points of what joints and tools of arms reach, and of what stands or
+    waits before some steps [m, world]."""
+    points: list[np.ndarray] = [at[at[:, 2] > 0, :3] for at in (one.before for one in steps)]
+    points = [point for some in points for point in some]
+    for arm in arms:
         points.append(arm.shape.chain.offset[0] * [1, 1, 0])
         joints = arm.samples.joints
         for q in joints[:: max(1, len(joints) // 200)]:

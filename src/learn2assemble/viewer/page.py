@@ -23,7 +23,16 @@ from learn2assemble.errors import InputError, as_both
 from learn2assemble.files import write_file
 from learn2assemble.planning.plan import LARGEST, Plan
 from learn2assemble.viewer import scene, tables
-from learn2assemble.viewer.arm import NEAR_VIEW, arm_data, arm_section, arm_values, arms_words
+from learn2assemble.viewer.arm import (
+    NEAR_VIEW,
+    REACH_WORDS,
+    StandingArm,
+    arm_data,
+    arm_section,
+    arm_values,
+    arms_words,
+    standing_data,
+)
 from learn2assemble.viewer.errors import error_section
 from learn2assemble.viewer.html import fact_list, speed_options, stand_alone
 from learn2assemble.viewer.places import place_section
@@ -73,6 +82,8 @@ class Verdict(NamedTuple):
     """Such as ``complete`` or ``stands only with tight joints``."""
     reason: str = ""
     """Why it is not complete, or does not stand."""
+    moving: Collection[str] = ()
+    """Ids of blocks that start to move, or are out of reach; they are marked."""
 
 
 _UNSAID = Verdict()
@@ -85,7 +96,7 @@ def render_assembly_page(
     facts: Sequence[tuple[str, str]] = (),
     step_notes: Sequence[StepNote] = (),
     forces: tuple[Contacts, np.ndarray | None] | None = None,
-    moving: Collection[str] = (),
+    arms: Sequence[StandingArm] = (),
     verdict: Verdict = _UNSAID,
     plan: Plan | None = None,
 ) -> str:
@@ -101,8 +112,8 @@ def render_assembly_page(
         step_notes: of every step of the assembly, or none.
         forces: contacts between the blocks of ``assembly.finished``, and float64[C, 3], the
             forces at their corners [N, world], where they are known.
-        moving: ids of blocks that start to move; they are marked.
-        verdict: shown beside the title.
+        arms: that stand there, with what they reach on the table.
+        verdict: shown beside the title, with the blocks that it is about.
         plan: of the assembly, whose targets, goals and obstacles the 3-D view shows, with what was
             tried for it and what an arm did, which the page plays.
 
@@ -114,7 +125,7 @@ def render_assembly_page(
         raise InputError("step_notes", len(step_notes), f"one for each of {len(steps)} steps")
     notes = list(step_notes) or [StepNote()] * len(steps)
     told = instructions(assembly)
-    parts, shapes, layers = scene.block_parts(assembly, moving)
+    parts, shapes, layers = scene.block_parts(assembly, verdict.moving)
     filled = "covered" if plan is not None and plan.design.targets else "filled"
     noted = tables.noted_steps(told, parts, notes, filled)
     standing = sum(not part.placed for part in parts)
@@ -128,6 +139,7 @@ def render_assembly_page(
         "joints": scene.joint_data(forces) if forces is not None else None,
         "marks": scene.mark_data(marks),
         "scale": scene.scale_data(told.origin, _corners(parts)[1] - told.origin),
+        "view": scene.first_view((part.block for part in parts), *(arm.base for arm in arms[:1])),
     }
     page = {
         **_head(title, verdict, plan),
@@ -146,10 +158,18 @@ def render_assembly_page(
         "The build" if steps else "What was asked for" if asked else "The structure"
     )
     scripts = _SCRIPTS
+    if arms:
+        data["standing"] = standing_data(arms)
+        page["body"] += " with-arm"
+        page["views"] += NEAR_VIEW
+        page["legend"] += tables.entry("target", REACH_WORDS)
+        scripts = (*_SCRIPTS[:-1], "arm.js", _SCRIPTS[-1])
     if plan is not None and any(record.steps for record in plan.records):
         playback = Playback(plan.records, plan)
         labels = cell_labels(assembly, playback.blocks, captions)
         data["arm"] = arm_data(playback, labels)
+        base = playback.arms[0].shape.chain.offset[0, :2]
+        data["view"] = scene.first_view((part.block for part in parts), base)
         page |= {**arm_values(playback), "body": "movable assembly with-arm"}
         page["views"] += NEAR_VIEW
         page["legend"] += tables.entry("waiting", "waiting block")
@@ -175,7 +195,7 @@ def _once(parts: Sequence[ScenePart]) -> list[ScenePart]:
 
 def _head(title: str, verdict: Verdict, plan: Plan | None) -> dict[str, str]:
     """What stands above and below everything else on any page."""
-    status, reason = verdict
+    status, reason, _ = verdict
     tone = f' <span class="status {TONES.get(status, "warn")}">{escape(status)}</span>'
     words = [f"<p>{escape(text)}</p>" for text in (sentence(reason), *_blame_sentences(plan))]
     page = {
@@ -405,6 +425,7 @@ def _page_of_nothing(plan: Plan) -> str:
         "joints": None,
         "marks": scene.mark_data(marks),
         "scale": None,
+        "view": [0.0, -scene.ASIDE],
     }
     page |= {
         "show_title": "The cells to blame",

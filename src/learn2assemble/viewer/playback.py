@@ -239,11 +239,15 @@ def _played(record: BuildRecord, name: str) -> PlayedArm:
 def _samples(record: BuildRecord, arm: Arm) -> Samples:
     """Of the whole build; an arm that never moves stands at home."""
     samples, _ = record.joined()
-    if len(samples.time):
-        return samples
+    return samples if len(samples.time) else standing(arm).samples
+
+
+def standing(arm: Arm) -> PlayedArm:
+    """An arm that stands at home."""
     home = arm.home[None]
     width = np.array([arm.gripper.max_width])
-    return Samples(np.zeros(1), home, np.zeros_like(home), width, width)
+    samples = Samples(np.zeros(1), home, np.zeros_like(home), width, width)
+    return PlayedArm(arm.name, arm.suction is not None, arm_shape(arm), samples)
 
 
 def _moment(segment: ReplaySegment) -> float:

@@ -21,6 +21,11 @@ from learn2assemble.assembly.parts import to_manifold
 from learn2assemble.viewer.arm import Labels
 from learn2assemble.viewer.html import packed, to_base64
 
+_WIDE = 1.25
+"""A structure is wide where it is so many times as long as it is deep, seen from above."""
+ASIDE, _MORE_ASIDE = 0.5, 0.8
+"""How far beside the middle of its wide side one looks at it from first, as a share of how far one
+is in front; from the second with an arm behind, which then stands beside it."""
 _COVERED = 0.03
 """Share of a side that may be left open where it counts as covered, and how far apart sides that
 touch may be, as a share of the smallest edge."""
@@ -134,6 +139,45 @@ def nothing_to_draw(size: float) -> dict[str, Any]:
         "shapes": shapes,
         **{name: [] for name in lists},
     }
+
+
+def first_view(blocks: Iterable[Block], arm: np.ndarray | None = None) -> list[float]:
+    """From where a page is seen first, above all: the wide side of what is built faces the viewer,
+    a little from one side. An arm stands behind it or beside it, not before it.
+
+    Args:
+        arm: float64[2], where one stands, if any [m, world].
+
+    Returns:
+        angle [rad] about z of the side that faces the viewer, 0 for the one towards -y, in whole
+        steps of 15 degrees; how far to the right of its middle the viewer is, as a share of how far
+        in front, and less than 0 to the left.
+    """
+    points = np.concatenate([block.vertices[:, :2] for block in blocks])
+    middle = (points.min(0) + points.max(0)) / 2
+    points = np.unique(points.round(6), axis=0) - middle
+    along = np.linalg.eigh(points.T @ points)[1][:, 1]
+    ahead = np.sign([along[0], -along[1]]).astype(int)[np.abs(along) > 1e-6]
+    along *= int(ahead[0])
+    across = np.array([-along[1], along[0]])
+    wide = float(np.ptp(points @ along)) > _WIDE * float(np.ptp(points @ across))
+    away = np.zeros(2) if arm is None else arm - middle
+    if not wide and arm is None:
+        along, aside = np.array([1.0, 0.0]), -ASIDE
+    elif not wide:  # The arm stands on the left.
+        along, aside = -away, ASIDE
+    else:
+        if away @ across < -abs(float(away @ along)):
+            along, across = -along, -across
+        beside, behind = float(away @ along), float(away @ across)
+        left = beside < 0.25 * behind
+        if behind > abs(beside):
+            aside = -_MORE_ASIDE if left else _MORE_ASIDE
+        else:
+            aside = ASIDE if beside < 0 else -ASIDE
+    step = math.radians(15)
+    turn = step * round(math.atan2(along[1], along[0]) / step)
+    return [rounded(turn), aside]
 
 
 def mark_data(marks: Sequence[Mark]) -> list[dict[str, Any]]:

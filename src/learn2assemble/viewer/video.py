@@ -313,7 +313,7 @@ class Frames:
     def _points(self) -> np.ndarray:
         record = self.playback.record
         cells = [p[p[:, 2] > 0, :3] for p in (record.steps[0].before, record.steps[-1].after)]
-        return np.concatenate([*cells, *self.targets, extent(self.playback)])
+        return np.concatenate([*cells, *self.targets, extent(self.playback.arms)])
 
     def _camera(self, back: np.ndarray) -> renderer.Camera:
         """As near as shows everything from a direction, as the page does."""

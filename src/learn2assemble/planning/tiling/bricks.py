@@ -111,8 +111,8 @@ def plan_brick_cells(
             else "their cells have too few others right over or under them"
         )
         lost = (
-            f"{loose} of the bricks hang together with nothing that stands: {why}; another width "
-            "of the cells, or thicker walls, may help"
+            f"{loose} of the bricks hang together with nothing that stands: {why}; not tried: "
+            "cells of another width, thicker walls"
         )
         plan = replace(plan, reason=f"{plan.reason}; {lost}")
     x, y, z = design.wanted.shape

@@ -45,6 +45,8 @@ from learn2assemble.progress import Progress, silent
 MAX_EXTENT, MAX_CELLS = 64, 64 * 64 * 64
 STRIP = 240
 """Cells of a layer that one program decides; wider parts are cut into strips of about as many."""
+_FREE_SHARE = 0.2
+"""Of the time, to look whether a heap has what one would lay without a limit."""
 MORE_TIME = "`seconds=` gives more"
 """Said where time ran out."""
 
@@ -360,9 +362,16 @@ def tile(
     clock = Clock(seconds, progress=progress)
     layers = _Layers(wanted, kit, clock, shades)
     short: dict[int, int] = {}
-    if kit.flat and not kit.limited:
+    chosen, left = list[BlockPlacement](), list[Cell]()
+    bonded = kit.flat and not kit.limited
+    if bonded:
         chosen, left = layers.run(), layers.left
-    else:
+    elif kit.flat:
+        # What one would lay without a limit, in bond, where the heap has enough for it.
+        free = _Layers(wanted, kit, Clock(_FREE_SHARE * seconds), shades)
+        chosen = free.run()
+        bonded = not free.left and not free.timed_out and _has(kit, chosen)
+    if not bonded:
         found = find_candidates(wanted, kit, shades=shades)
         answer, picked, open_, short = cover(
             found,
@@ -376,16 +385,22 @@ def tile(
         chosen, left = found.blocks(kit, picked), to_cells(open_, wanted.shape)
         if kit.flat and chosen and not left and not short and clock.left > 0:
             used = Counter((block.kind, block.origin[2]) for block in chosen)
-            bonded = layers.run(
+            again = layers.run(
                 [
                     {k: used[kind.name, z] for k, kind in enumerate(kit.kinds)}
                     for z in range(wanted.shape[2])
                 ]
             )
             if not layers.left:
-                chosen = bonded
+                chosen = again
     made = Tiling(from_below(chosen), wanted, missing=tuple(sorted(left)), shades=shades)
     return _judged(made, kit, layers.timed_out, short, seconds)
+
+
+def _has(kit: Kit, blocks: Iterable[BlockPlacement]) -> bool:
+    """Whether a heap has so many blocks of every kind."""
+    used = Counter(block.kind for block in blocks)
+    return all(used[kit.kinds[k].name] <= count for k, count in heap_of(kit).items())
 
 
 def heap_of(kit: Kit) -> dict[int, int]:

@@ -69,16 +69,7 @@ function createArm(data, tools) {
   const { coloured, colours } = tools;
   const arm = data.arm, group = new THREE.Group();
   const clock = armClock(data);
-  const turned = ([w, x, y, z]) => new THREE.Quaternion(x, y, z, w);
-  const placed = (parent, { offset, turn }) => {
-    const node = new THREE.Group();
-    node.position.set(...offset);
-    node.quaternion.copy(turned(turn));
-    parent.add(node);
-    return node;
-  };
-
-  const robots = arm.robots.map(makeRobot);
+  const robots = arm.robots.map((robot) => makeRobot(robot, group));
   const cells = arm.cells.map(makeCell);
   const owner = new Map(); // cell -> the segment that puts it into the structure
   arm.segments.forEach((segment, k) => {
@@ -114,7 +105,7 @@ function createArm(data, tools) {
   function update(now) {
     const active = clock.active(now), k = active[0], segment = arm.segments[k];
     const time = segment.moves ? now - segment.delay : segment.start - segment.delay;
-    for (const robot of robots) pose(robot, time);
+    for (const robot of robots) poseRobot(robot, time * arm.rate);
     const moved = new Set(active.flatMap((n) => arm.segments[n].cells));
     cells.forEach(({ group: cube, material }, cell) => {
       const [position, quaternion] = states[k][cell];
@@ -166,37 +157,6 @@ function createArm(data, tools) {
     }
   }
 
-  /* An arm: every joint of its chain turns about the z axis of its own frame. */
-  function makeRobot(robot) {
-    const joints = [];
-    let end = group;
-    for (const joint of robot.joints) {
-      const turning = new THREE.Group();
-      placed(end, joint).add(turning);
-      joints.push(turning);
-      end = turning;
-    }
-    const tool = placed(end, robot.tool);
-    const fingers = robot.fingers.map((finger) => placed(end, finger));
-    const frames = [...joints, ...fingers];
-    for (const part of robot.parts) (part.frame < 0 ? group : frames[part.frame]).add(mesh(part));
-    const samples = unpack(robot.samples), wide = joints.length + 1;
-    return { joints, tool, fingers, travels: robot.fingers, samples, wide, count: samples.length / wide };
-  }
-
-  function pose({ joints, fingers, travels, samples, wide, count }, time) {
-    const at = Math.min(Math.max(time * arm.rate, 0), count - 1);
-    const low = Math.min(Math.floor(at), Math.max(count - 2, 0)), share = at - low;
-    const high = Math.min(low + 1, count - 1);
-    const value = (j) => samples[low * wide + j] + share * (samples[high * wide + j] - samples[low * wide + j]);
-    joints.forEach((joint, j) => { joint.rotation.z = value(j); });
-    const width = value(wide - 1);
-    fingers.forEach((finger, j) => {
-      const { offset, travel } = travels[j];
-      finger.position.set(...offset.map((v, axis) => v + width * travel[axis]));
-    });
-  }
-
   /* A cell that moves in this segment: held, or gliding to where it comes to rest. */
   function follow(glide, segment, now, cube) {
     if (glide.grip !== null && now < glide.release) {
@@ -235,18 +195,83 @@ function createArm(data, tools) {
     group.add(cube.group);
     return cube;
   }
+}
 
-  function mesh(part) {
-    const geometry = new THREE.BufferGeometry();
-    geometry.setAttribute("position", new THREE.Float32BufferAttribute(unpack(part.vertices), 3));
-    geometry.setAttribute("normal", new THREE.Float32BufferAttribute(unpack(part.normals), 3));
-    const raw = bytes(part.faces).buffer;
-    geometry.setIndex([...(part.wide ? new Uint32Array(raw) : new Uint16Array(raw))]);
-    const [red, green, blue] = part.colour;
-    const material = new THREE.MeshStandardMaterial({ roughness: 0.55, metalness: 0.05 });
-    material.color.setRGB(red, green, blue, THREE.SRGBColorSpace);
-    const made = new THREE.Mesh(geometry, material);
-    made.castShadow = made.receiveShadow = true;
-    return made;
+/* Arms that stand at home, and what each reaches on the table. */
+function createStanding({ robots, areas }, floor, coloured) {
+  const group = new THREE.Group();
+  for (const robot of robots) poseRobot(makeRobot(robot, group), 0);
+  for (const area of areas) {
+    const [outer, ...inner] = area.map((line) => {
+      const shape = new THREE.Shape();
+      line.forEach(([x, y], k) => (k ? shape.lineTo(x, y) : shape.moveTo(x, y)));
+      return shape;
+    });
+    outer.holes = inner;
+    const ends = area.flatMap((line) => line.flatMap((at, k) => [...at, 0, ...line[(k + 1) % line.length], 0]));
+    const rim = new THREE.BufferGeometry();
+    rim.setAttribute("position", new THREE.Float32BufferAttribute(ends, 3));
+    const film = new THREE.Mesh(new THREE.ShapeGeometry(outer), coloured(
+      new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.16, depthWrite: false }), "accent"));
+    for (const made of [film, new THREE.LineSegments(rim, coloured(new THREE.LineBasicMaterial(), "accent"))]) {
+      made.position.z = floor + 0.001;
+      group.add(made);
+    }
   }
+  return group;
+}
+
+function turned([w, x, y, z]) { return new THREE.Quaternion(x, y, z, w); }
+
+/* An arm: every joint of its chain turns about the z axis of its own frame. */
+function makeRobot(robot, group) {
+  const placed = (parent, { offset, turn }) => {
+    const node = new THREE.Group();
+    node.position.set(...offset);
+    node.quaternion.copy(turned(turn));
+    parent.add(node);
+    return node;
+  };
+  const joints = [];
+  let end = group;
+  for (const joint of robot.joints) {
+    const turning = new THREE.Group();
+    placed(end, joint).add(turning);
+    joints.push(turning);
+    end = turning;
+  }
+  const tool = placed(end, robot.tool);
+  const fingers = robot.fingers.map((finger) => placed(end, finger));
+  const frames = [...joints, ...fingers];
+  for (const part of robot.parts) (part.frame < 0 ? group : frames[part.frame]).add(linkMesh(part));
+  const samples = unpack(robot.samples), wide = joints.length + 1;
+  return { joints, tool, fingers, travels: robot.fingers, samples, wide, count: samples.length / wide };
+}
+
+/* An arm as it is at a sample, or between two. */
+function poseRobot({ joints, fingers, travels, samples, wide, count }, sample) {
+  const at = Math.min(Math.max(sample, 0), count - 1);
+  const low = Math.min(Math.floor(at), Math.max(count - 2, 0)), share = at - low;
+  const high = Math.min(low + 1, count - 1);
+  const value = (j) => samples[low * wide + j] + share * (samples[high * wide + j] - samples[low * wide + j]);
+  joints.forEach((joint, j) => { joint.rotation.z = value(j); });
+  const width = value(wide - 1);
+  fingers.forEach((finger, j) => {
+    const { offset, travel } = travels[j];
+    finger.position.set(...offset.map((v, axis) => v + width * travel[axis]));
+  });
+}
+
+function linkMesh(part) {
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.Float32BufferAttribute(unpack(part.vertices), 3));
+  geometry.setAttribute("normal", new THREE.Float32BufferAttribute(unpack(part.normals), 3));
+  const raw = bytes(part.faces).buffer;
+  geometry.setIndex([...(part.wide ? new Uint32Array(raw) : new Uint16Array(raw))]);
+  const [red, green, blue] = part.colour;
+  const material = new THREE.MeshStandardMaterial({ roughness: 0.55, metalness: 0.05 });
+  material.color.setRGB(red, green, blue, THREE.SRGBColorSpace);
+  const made = new THREE.Mesh(geometry, material);
+  made.castShadow = made.receiveShadow = true;
+  return made;
 }

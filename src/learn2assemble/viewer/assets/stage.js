@@ -4,14 +4,16 @@
    are covered by blocks that stand, and edges between such sides, are left out: of a wall that is
    most of them. */
 function createStage(canvas, data) {
-  const edge = data.edge, blocks = readBlocks(data), shapes = readShapes(data.shapes);
+  const edge = data.edge, sun = sunOf(data.view), blocks = readBlocks(data), shapes = readShapes(data.shapes, sun);
   const points = blocks.flatMap(({ shape, at }) => {
     const { low, high } = shapes[shape];
     return [at.map((v, k) => v + low[k]), at.map((v, k) => v + high[k])];
   }).concat(data.targets.flatMap(({ outline }) => outline), data.boxes.flatMap(({ low, high }) => [low, high]),
     data.marks.flatMap(({ boxes }) => boxes.flatMap((box) => [box.slice(0, 3), box.slice(3)])));
-  const seen = data.arm ? [...points, ...data.arm.extent] : points;
-  const view = createView(canvas, { points: seen, edge, floor: data.floor, fromRight: Boolean(data.arm), turn: data.arm?.turn });
+  const there = data.arm ?? data.standing;
+  const areas = (data.standing?.areas ?? []).flat(2).map(([x, y]) => [x, y, data.floor]);
+  const seen = there ? [...points, ...there.extent, ...areas] : points;
+  const view = createView(canvas, { points: seen, edge, floor: data.floor, first: data.view });
   const roof = points.reduce((most, p) => Math.max(most, p[2]), -Infinity);
 
   let corners = 0, ends = 0;
@@ -43,6 +45,7 @@ function createStage(canvas, data) {
   const arm = data.arm
     ? createArm(data, { cube: solid, coloured: view.coloured, colours: view.colours }) : null;
   if (arm) view.scene.add(arm.group);
+  if (data.standing) view.scene.add(createStanding(data.standing, data.floor, view.coloured));
   const overlays = { joints: addJoints(), forces: addForces() };
 
   const end = data.arm ? data.arm.duration : data.steps;
@@ -245,7 +248,7 @@ function createStage(canvas, data) {
     if (!all.length) return null;
     const [radius, height] = data.knob;
     const made = new THREE.CylinderGeometry(radius, radius, height, 12, 1).rotateX(Math.PI / 2).translate(0, 0, height / 2);
-    const normal = made.attributes.normal.array, light = normal.map((_, k) => lightOn(normal, k - k % 3));
+    const normal = made.attributes.normal.array, light = normal.map((_, k) => lightOn(normal, k - k % 3, sun));
     made.setAttribute("color", new THREE.Float32BufferAttribute(light, 3));
     const cylinders = new THREE.InstancedMesh(made, new THREE.MeshBasicMaterial({ vertexColors: true }), all.length);
     cylinders.setColorAt(0, new THREE.Color());
@@ -430,14 +433,20 @@ function readBlocks(data) {
   });
 }
 
+/* Whence the light comes: as one looks at it from first, over the other shoulder. */
+function sunOf([turn, aside]) {
+  const x = aside > 0 ? -0.27 : 0.27, y = -0.57, [c, s] = [Math.cos(turn), Math.sin(turn)];
+  return [c * x - s * y, s * x + c * y, 0.76];
+}
+
 /* How light a surface is whose normal begins at a place of an array. */
-function lightOn(normal, from) {
-  const facing = [0.27, -0.57, 0.76].reduce((sum, v, axis) => sum + v * normal[from + axis], 0);
+function lightOn(normal, from, sun) {
+  const facing = sun.reduce((sum, v, axis) => sum + v * normal[from + axis], 0);
   return Math.min(0.62 + 0.1 * normal[from + 2] + 0.36 * Math.max(facing, 0), 1);
 }
 
 /* Of every shape: triangles with their normals, edges, and the bounding box. */
-function readShapes({ vertices, triangles, wide, first, faces }) {
+function readShapes({ vertices, triangles, wide, first, faces }, sun) {
   const all = unpack(vertices), raw = bytes(triangles).buffer;
   const index = wide ? new Uint32Array(raw) : new Uint16Array(raw);
   return first.slice(0, -1).map((start, shape) => {
@@ -449,7 +458,7 @@ function readShapes({ vertices, triangles, wide, first, faces }) {
     made.setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
     made.computeVertexNormals(); // Corners are not shared, so every face is flat.
     const normal = made.attributes.normal.array;
-    const light = Float32Array.from({ length: picks.length }, (_, k) => lightOn(normal, 3 * k));
+    const light = Float32Array.from({ length: picks.length }, (_, k) => lightOn(normal, 3 * k, sun));
     const extent = (pick, begin) => [0, 1, 2].map((k) =>
       own.reduce((value, v, place) => (place % 3 === k ? pick(value, v) : value), begin));
     const low = extent(Math.min, Infinity), high = extent(Math.max, -Infinity);

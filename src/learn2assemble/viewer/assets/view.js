@@ -1,7 +1,7 @@
 "use strict";
 /* What every 3-D view has: camera and controls for mouse and keyboard, light, table, colours of the
    style sheet, and a picture of it for print. World frame, z up, metres. */
-function createView(canvas, { points, edge, floor = 0, fromRight = false, turn = 0 }) {
+function createView(canvas, { points, edge, floor = 0, first: [turn, aside] }) {
   const names = ["sky", "table", "edge", "accent", "current", "support", "waiting", "soft", "prop", "held", "bad", "blamed", "unbuilt"];
   const theme = () => {
     const style = getComputedStyle(document.documentElement);
@@ -27,7 +27,7 @@ function createView(canvas, { points, edge, floor = 0, fromRight = false, turn =
   const camera = new THREE.PerspectiveCamera(16, 1, reach / 20, 80 * reach);
   camera.up.set(0, 0, 1);
   const turned = (x, y, z) => new THREE.Vector3(x, y, z).applyAxisAngle(new THREE.Vector3(0, 0, 1), turn);
-  const front = turned(fromRight ? 0.5 : -0.5, -1, 0.6).normalize();
+  const front = turned(aside, -1, 0.6).normalize();
 
   addLights();
   addTable();
@@ -87,8 +87,7 @@ function createView(canvas, { points, edge, floor = 0, fromRight = false, turn =
     if (touched) draw(); else look(...last);
   }
 
-  /* Look at these points, all of them as near as can be, from the front and above: from the left,
-     but from the right where an arm stands on the left, turned with the side it stands on. */
+  /* Look at these points, all of them as near as can be, at first from above the front. */
   function look(wanted = points, from = front) {
     touched = false;
     last = [wanted, from];
@@ -113,8 +112,8 @@ function createView(canvas, { points, edge, floor = 0, fromRight = false, turn =
       right.setFromMatrixColumn(camera.matrixWorld, 0);
       up.setFromMatrixColumn(camera.matrixWorld, 1);
       target.addScaledVector(right, (x0 + x1) / 2 * height * camera.aspect);
-      target.addScaledVector(up, (y0 + y1) / 2 * height);
-      distance *= Math.min(Math.max((x1 - x0) / 1.9, (y1 - y0) / 1.86, 0.5), 2);
+      target.addScaledVector(up, ((y0 + y1) / 2 + 0.1) * height); // Buttons are over the top edge.
+      distance *= Math.min(Math.max((x1 - x0) / 1.9, (y1 - y0) / 1.66, 0.5), 2);
     }
     controls.target.copy(target);
     controls.minDistance = edge * 4;
@@ -170,7 +169,7 @@ function createView(canvas, { points, edge, floor = 0, fromRight = false, turn =
   function addLights() {
     scene.add(new THREE.HemisphereLight(0xffffff, 0xd8d2c6, 2.2));
     const sun = new THREE.DirectionalLight(0xffffff, 1.9);
-    sun.position.copy(turned(fromRight ? -0.9 : 0.9, -1.9, 2.5).multiplyScalar(reach))
+    sun.position.copy(turned(aside > 0 ? -0.9 : 0.9, -1.9, 2.5).multiplyScalar(reach))
       .add(new THREE.Vector3(middle[0], middle[1], floor));
     sun.target.position.set(middle[0], middle[1], floor);
     sun.castShadow = true;
