@@ -197,10 +197,9 @@ class FakeController(ABC):
         """
         until = time.perf_counter() + HEARD
         while time.perf_counter() < until:
-            with contextlib.suppress(OSError, ValueError):  # One may be closed just now.
-                with self.lock:
-                    if not self._taken and not select.select(self.open(), [], [], 0)[0]:
-                        break
+            with contextlib.suppress(OSError, ValueError), self.lock:  # One may be closed just now.
+                if not self._taken and not select.select(self.open(), [], [], 0)[0]:
+                    break
             time.sleep(1e-4)
         with self.lock:
             begun = time.thread_time()

@@ -47,25 +47,23 @@ def stands(assembly: Assembly, sideways: tuple[float, float] = (0.0, 0.0), slack
     masses = np.array([block.mass for block in assembly.blocks])
     centres = np.array([block.centroid for block in assembly.blocks])
     unit = float(np.median(masses))
-    rays = [np.array([0.0, 0.0, 1.0])]
+    rays = np.array([[0.0, 0.0, 1.0]])
     if any(sideways):
-        rays = [np.array([*(assembly.friction * side), 1.0]) for side in SQUARE]
-    columns = []
-    for point, top, base in zip(points, above, below, strict=True):
-        for ray in rays:
-            column = np.zeros((len(masses), 6))
-            for block, sign in ((top, 1.0), (base, -1.0)):
-                if block >= 0:
-                    column[block, :3] += sign * ray
-                    column[block, 3:] += sign * np.cross(point - centres[block], ray) / 0.05
-            columns.append(column.reshape(-1))
+        rays = np.array([[*(assembly.friction * side), 1.0] for side in SQUARE])
+    # A column for every ray at every point, of all at once.
+    at, ray = points.repeat(len(rays), 0), np.tile(rays, (len(points), 1))
+    columns = np.zeros((len(at), len(masses), 6))
+    for block, sign in ((above.repeat(len(rays)), 1.0), (below.repeat(len(rays)), -1.0)):
+        row = np.flatnonzero(block >= 0)
+        turn = np.cross(at - centres[block], ray) / 0.05
+        columns[row, block[row]] += sign * np.hstack([ray, turn])[row]
     load = np.zeros((len(masses), 6))
     load[:, 2] = masses / unit
     load[:, :2] = masses[:, None] / unit * np.array(sideways)
-    if not columns:
+    if not len(columns):
         return False
     # Right on an edge, two solvers may round differently: equilibrium is asked to a tolerance.
-    matrix = np.array(columns).T
+    matrix = columns.reshape(len(columns), -1).T
     found = linprog(
         np.zeros(len(columns)),
         np.concatenate([matrix, -matrix]),
