@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -90,6 +91,12 @@ def states(assembly: Assembly) -> list[Assembly]:
 def deck(gap: int) -> np.ndarray:
     """Two levels of cells on two piers, ``gap`` cells apart."""
     return shapes.bridge(1, gap, 3, 3, 1)
+
+
+@cache
+def ordered(name: str) -> tuple[Tiling, Ordering | None]:
+    """Blocks and order of a shape, which several tests look at."""
+    return plan_exact(shapes.SHAPES[name](), LINTELS)
 
 
 # ---------------------------------------------------------------- the local proof
@@ -197,7 +204,7 @@ def check_order(tiling: Tiling, ordering: Ordering) -> None:
     "name", ["wall-window", "house-flat", "arch-8", "letter-h", "stairs-steep"]
 )
 def test_every_state_of_a_shape_is_proven_again(name: str) -> None:
-    tiling, ordering = plan_exact(shapes.SHAPES[name](), LINTELS)
+    tiling, ordering = ordered(name)
     assert ordering is not None
     assert (tiling.status, ordering.status) == ("complete", "complete")
     assert not any(block.prop for block in tiling.placements)
@@ -218,7 +225,7 @@ def test_every_state_of_a_shape_is_proven_again(name: str) -> None:
 
 def test_a_lintel_without_its_bearing_needs_props_that_are_removed_again() -> None:
     wanted = shapes.SHAPES["bridge-long"]()
-    tiling, ordering = plan_exact(wanted, LINTELS)
+    tiling, ordering = ordered("bridge-long")
     assert ordering is not None
     assert ordering.status == "complete"
     check_order(tiling, ordering)
@@ -286,7 +293,7 @@ def test_props_leave_one_after_the_other_before_the_next_level() -> None:
 
 def test_props_obey_the_heap() -> None:
     wanted = shapes.SHAPES["bridge-long"]()
-    free, _ = plan_exact(wanted, LINTELS)
+    free, _ = ordered("bridge-long")
     used = [block.kind for block in free.placements if not block.prop]
     kinds = tuple(replace(kind, count=used.count(kind.name)) for kind in LINTELS.kinds)
     tiling, _ = plan_exact(wanted, replace(LINTELS, kinds=kinds), seconds=600)
@@ -296,7 +303,7 @@ def test_props_obey_the_heap() -> None:
 @pytest.mark.parametrize("name", ["bridge-long", "arch-corbel", "letter-h"])
 def test_states_stand_in_simulation_with_open_joints(name: str) -> None:
     """Two random states and the last, one second with joints of 0.1 mm."""
-    tiling, ordering = plan_exact(shapes.SHAPES[name](), LINTELS)
+    tiling, ordering = ordered(name)
     assert ordering is not None
     assert LINTELS.joint_gap == 1e-4
     some = states(to_assembly(tiling, ordering, LINTELS))
