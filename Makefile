@@ -28,7 +28,9 @@ $(STAMP): pyproject.toml laboratory/pyproject.toml | $(BIN)/python
 	touch $@ $(PRODUCT)
 
 # Whoever needs a function compiles it; here one process does, before many that test need the same.
+# So with the code of Python, also where processes are told to keep none.
 $(COMPILED): $(STAMP) $(KERNELS)
+	@$(BIN)/python -m compileall -q src laboratory/src tests laboratory/tests
 	@echo "compiling what has changed"; $(BIN)/l2a bench --seconds 0.01 >/dev/null 2>&1
 	touch $@
 

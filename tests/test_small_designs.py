@@ -62,33 +62,36 @@ def stands(blocks: list[Placed], kit: Kit, friction: float = 0.0, inset: float =
     """Rigid-block equilibrium on bed faces: forces at the corners of cells that lie on cells."""
     owner = {cell: n for n, (_, own) in enumerate(blocks) for cell in own}
     pitch = np.array(kit.pitch)
-    columns, friction_dirs = [], [(0.0, 0.0)]
+    pushes = np.array([[0.0, 0.0, 1.0]])
     if friction:
-        friction_dirs = [(np.cos(a), np.sin(a)) for a in np.arange(16) * np.pi / 8]
+        angle = np.arange(16) * np.pi / 8
+        pushes = np.stack([friction * np.cos(angle), friction * np.sin(angle), 1 + 0 * angle], 1)
     weight = np.zeros((len(blocks), 6))
-    centre = []
+    centre = np.zeros((len(blocks), 3))
     for n, (kind, own) in enumerate(blocks):
         density = kit.kinds[kind].density or kit.density
-        centre.append((np.mean(own, axis=0) + 0.5) * pitch)
+        centre[n] = (np.mean(own, axis=0) + 0.5) * pitch
         weight[n, 2] = density * len(own)
+    joints = []  # cell, its block, the one below
     for n, (_, own) in enumerate(blocks):
         for x, y, z in own:
             below = owner.get((x, y, z - 1), -1 if z == 0 else None)
-            if below is None or below == n:
-                continue
-            for u in (inset, 1 - inset):
-                for v in (inset, 1 - inset):
-                    point = np.array([x + u, y + v, z]) * pitch
-                    for dx, dy in friction_dirs:
-                        force = np.array([friction * dx, friction * dy, 1.0])
-                        column = np.zeros((len(blocks), 6))
-                        column[n] = [*force, *np.cross(point - centre[n], force)]
-                        if below >= 0:
-                            column[below] -= [*force, *np.cross(point - centre[below], force)]
-                        columns.append(column.reshape(-1))
-    if not columns:
+            if below is not None and below != n:
+                joints.append((x, y, z, n, below))
+    if not joints:
         return False
-    matrix = np.array(columns).T
+    # A column for every corner of every joint and every push in it, of all at once.
+    at = np.array([(u, v, 0.0) for u in (inset, 1 - inset) for v in (inset, 1 - inset)])
+    found = np.array(joints)
+    points = ((found[:, None, :3] + at) * pitch).reshape(-1, 3).repeat(len(pushes), 0)
+    force = np.tile(pushes, (len(joints) * len(at), 1))
+    upper, lower = found[:, 3:].repeat(len(at) * len(pushes), 0).T
+    held, row = lower >= 0, np.arange(len(force))
+    columns = np.zeros((len(force), len(blocks), 6))
+    columns[row, upper] = np.hstack([force, np.cross(points - centre[upper], force)])
+    turn = np.cross(points - centre[lower], force)
+    columns[row[held], lower[held]] = -np.hstack([force, turn])[held]
+    matrix = columns.reshape(len(force), -1).T
     scale = np.abs(matrix).max(1) + 1e-12
     goal = weight.reshape(-1) / weight.max()
     answer = linprog(

@@ -206,8 +206,13 @@ def test_scene_rows_are_the_boxes_where_they_are(window: Plan) -> None:
 # ---------------------------------------------------------------- carrying out
 
 
-def test_a_wall_is_carried_out_with_one_attempt_a_block(window: Plan) -> None:
-    plan = carry_out(window, quick())
+@pytest.fixture(scope="module")
+def done(window: Plan) -> Plan:
+    return carry_out(window, quick())
+
+
+def test_a_wall_is_carried_out_with_one_attempt_a_block(done: Plan) -> None:
+    plan = done
     stands_where_it_should(plan)
     assert plan.arm is not None
     assert plan.arm.attempts == len(plan.steps)
@@ -215,8 +220,8 @@ def test_a_wall_is_carried_out_with_one_attempt_a_block(window: Plan) -> None:
     assert Plan.from_dict(plan.to_dict()).arm == plan.arm
 
 
-def test_in_another_order_every_step_is_proven_anew(window: Plan) -> None:
-    plan = carry_out(window, quick())
+def test_in_another_order_every_step_is_proven_anew(window: Plan, done: Plan) -> None:
+    plan = done
     assert [step.block for step in plan.steps] != [step.block for step in window.steps]
     assert plan.assembly is not None
     friction = plan.assembly.friction

@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import json
 import math
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -698,9 +699,9 @@ def test_committed_results_say_how_they_were_made() -> None:
 
 
 def test_committed_results_of_shipped_agents_are_of_these_agents() -> None:
-    shipped = find_agents(None)
+    shipped, hashed = find_agents(None), cache(agent_hash)
     for file in committed_cells():
         result = read_result(file)
         assert result is not None
         if result.cell.agent in shipped:
-            assert result.agent_hash == agent_hash(shipped[result.cell.agent]), file
+            assert result.agent_hash == hashed(shipped[result.cell.agent]), file

@@ -13,6 +13,7 @@ import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -312,14 +313,25 @@ def read_result(file: Path) -> CellResult | None:
     """A result by the path of its file, also where that was packed (:mod:`.packed`); ``None`` where
     it is absent, damaged or of another version."""
     try:
-        data = json.loads(read_document(file))
-        if (data.pop("format"), data.pop("version")) != (FORMAT, VERSION):
-            return None
-        result = CellResult(Cell.from_dict(data.pop("cell")), data.pop("agent_hash"), data)
-        counts = {len(v) for v in data.values() if isinstance(v, list)}
-        return result if counts == {result.episodes} else None
+        return _result(read_document(file))
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
+
+
+# Every row of a table looks at the same results again; all that are committed are fewer.
+@lru_cache(maxsize=2048)
+def _result(text: str) -> CellResult | None:
+    """What the text of a file says, which nobody may change; ``None`` for another version.
+
+    Raises:
+        ValueError, KeyError, TypeError, AttributeError: where it is damaged.
+    """
+    data = json.loads(text)
+    if (data.pop("format"), data.pop("version")) != (FORMAT, VERSION):
+        return None
+    result = CellResult(Cell.from_dict(data.pop("cell")), data.pop("agent_hash"), data)
+    counts = {len(v) for v in data.values() if isinstance(v, list)}
+    return result if counts == {result.episodes} else None
 
 
 def is_current(root: Path, cell: Cell, agent_hash: str | None, episodes: int) -> bool:

@@ -51,7 +51,11 @@ def read_spec(mjcf: Path, position: np.ndarray, yaw: float, pictures: bool) -> m
         pictures: keep the geoms without contact, which only pictures need; loading is faster
             without them.
     """
-    spec = mujoco.MjSpec.from_file(str(mjcf))
+    if pictures:
+        spec = mujoco.MjSpec.from_file(str(mjcf))
+    else:
+        known = mjcf.stat() if mjcf.is_file() else None
+        spec = _bare_spec(mjcf, known and (known.st_mtime_ns, known.st_size)).copy()
     if pictures and (meshes := mjcf.parent / MESHES).is_file():
         with zipfile.ZipFile(meshes) as packed:
             # MuJoCo looks there before it looks beside the MJCF. Models of several arms share
@@ -65,12 +69,19 @@ def read_spec(mjcf: Path, position: np.ndarray, yaw: float, pictures: bool) -> m
         mujoco.mju_mulQuat(turned, turn, own)
         np.add(position, rotated, out=moved)
         body.pos, body.quat = moved, turned
-    if not pictures:
-        for geom in list(spec.geoms):
-            if geom.group == PICTURE_GROUP:
-                spec.delete(geom)
-        for mesh in list(spec.meshes):
-            spec.delete(mesh)
+    return spec
+
+
+# Every cell and every check of a program begins with one: a copy takes a hundredth of the time.
+@lru_cache(maxsize=8)
+def _bare_spec(mjcf: Path, version: tuple[int, int] | None) -> mujoco.MjSpec:
+    """An arm's MJCF without what only pictures need, as long as its file is the same."""
+    spec = mujoco.MjSpec.from_file(str(mjcf))
+    for geom in list(spec.geoms):
+        if geom.group == PICTURE_GROUP:
+            spec.delete(geom)
+    for mesh in list(spec.meshes):
+        spec.delete(mesh)
     return spec
 
 
