@@ -114,7 +114,7 @@ def jobs_of(
     jobs = [
         replace(
             alike,
-            pieces=with_rests(alike.pieces, member.job.arm),
+            pieces=with_rests(alike.pieces, member.job.arm, member.rests),
             arm=member.job.arm,
             sources=member.job.sources,
             obstacles=member.job.obstacles,

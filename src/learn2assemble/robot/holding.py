@@ -44,8 +44,9 @@ HEADROOM = 0.005
 """A tool that comes from the side stays so far above what a block stands on [m]."""
 CAPTURE = 0.0005
 """The lip of a cup at a side keeps this distance from the edges of a face [m]."""
-MOST_TILT = math.radians(70.0)
-"""The axis of a tool is not tilted more than this from the vertical [rad]."""
+MOST_TILT, LEVEL = math.radians(70.0), math.radians(95.0)
+"""The axis of a tool is not tilted more than this from the vertical, ..., or than that at one end
+of a way: a block that lies on a face may be put down by the other one, the tool level [rad]."""
 _PARALLEL = math.radians(0.5)
 """Faces on which fingers close are off being parallel by less [rad]."""
 _OUT = 1e-4
@@ -412,17 +413,17 @@ def ways_to_turn(arm: Arm, shape: Shape, now: np.ndarray, goals: Sequence[np.nda
     tops = [float((part.points @ now[2]).max()) for part in shape]
     for hold in holds_of(arm, shape, now[2]):
         grasp = hold.tool(now)
-        if tilt_of(grasp) > MOST_TILT:
+        if tilt_of(grasp) > LEVEL:
             continue
         for goal in goals:
             place = goal @ now.T @ grasp
             way = Way(hold, grasp, place, goal)
-            if tilt_of(place) > MOST_TILT:
+            less, more = sorted((tilt_of(grasp), tilt_of(place)))
+            if less > MOST_TILT or more > LEVEL:
                 continue
-            tilt = way.tilt if way.tilt > UPRIGHT else 0.0
             cost = (
                 float(way.aside),
-                round(math.degrees(tilt)),
+                *(round(math.degrees(one)) if one > UPRIGHT else 0 for one in (more, less)),
                 -round(tops[hold.part], 4),
                 round(hold.off, 3),
             )
