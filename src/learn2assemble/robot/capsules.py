@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import mujoco
 import numpy as np
@@ -151,7 +151,8 @@ def _solid(part: Part, widest: float) -> tuple[np.ndarray, list[float]]:
     if part.hull is None:
         lines, radius = _box((low + high) / 2, (high - low) / 2, widest)
         return lines, [radius] * len(lines)
-    shadows = [shapely.MultiPoint(np.delete(part.points, k, 1)).convex_hull for k in range(3)]
+    library = cast("Any", shapely)  # Its stubs have arguments without a type.
+    shadows = [library.MultiPoint(np.delete(part.points, k, 1)).convex_hull for k in range(3)]
     drawn = [shadow.area * long for shadow, long in zip(shadows, high - low, strict=True)]
     axis = min(range(3), key=lambda k: (round(drawn[k] / part.volume, 6), low[k] - high[k]))
     others = [k for k in range(3) if k != axis]
@@ -160,7 +161,7 @@ def _solid(part: Part, widest: float) -> tuple[np.ndarray, list[float]]:
     lines, radii = list[np.ndarray](), list[float]()
     for cell in np.ndindex(*counts.tolist()):
         start, end = (corner + size * (np.array(cell) + k) / counts for k in (0, 1))
-        piece = shapely.get_coordinates(shadows[axis].intersection(shapely.box(*start, *end)))
+        piece = library.get_coordinates(shadows[axis].intersection(library.box(*start, *end)))
         if not len(piece):
             continue
         middle = (piece.min(0) + piece.max(0)) / 2
