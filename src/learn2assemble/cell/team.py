@@ -46,7 +46,7 @@ from learn2assemble.robot.approach import ApproachCache
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.capsules import capsules_of, placed
 from learn2assemble.robot.grasps import UPRIGHT
-from learn2assemble.robot.holding import Way, attitude, tilt_of, ways_to_turn
+from learn2assemble.robot.holding import LEVEL, Way, attitude, tilt_of, ways_to_turn
 from learn2assemble.robot.kinematics import get_chain
 
 BESIDE = 0.32
@@ -274,7 +274,7 @@ def own_side(pieces: Sequence[Piece], arm: Arm) -> dict[str, np.ndarray]:
         ahead /= max(float(np.linalg.norm(ahead)), 1e-9)
         goals, best = [piece.turn @ turn for turn in piece.turns()], AHEAD
         for rest in ways_to_rest(piece):
-            for way in ways_to_turn(arm, piece.shape, rest, goals):
+            for way in ways_to_turn(arm, piece.shape, rest, goals, LEVEL):
                 towards = float(way.place[:, 2] @ ahead)
                 if towards < best + 1e-6 or tilt_of(way.grasp) > UPRIGHT or way.aside:
                     continue
