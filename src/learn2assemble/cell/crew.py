@@ -38,7 +38,6 @@ from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.capsules import Capsules, capsules_of, in_hand, solid_capsules
 from learn2assemble.robot.grasps import FIRST, WAY
 from learn2assemble.robot.hand import hand_limits
-from learn2assemble.robot.holding import LEVEL
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Attempt, Move, carried, turned
 from learn2assemble.robot.sweeps import Sweep, clear, sweep
@@ -139,8 +138,6 @@ class ArmCrew:
         self._begin = [(list(w.state), w.pose.copy()) for w in self.worlds]
         self._contacts: Contacts = find_contacts(whole)
         self._leans = bool(leaning(self._contacts).any())
-        for world in self.worlds if self._leans else ():
-            world.most_tilt = LEVEL
         self._holding: dict[bytes, Reached] = {}
         """By the hand, how the arm holds."""
         self._known: dict[tuple[int, int, bytes], tuple[list[Reached], Iterator[Reached]]] = {}

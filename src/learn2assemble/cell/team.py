@@ -46,7 +46,7 @@ from learn2assemble.robot.approach import ApproachCache
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.capsules import capsules_of, placed
 from learn2assemble.robot.grasps import UPRIGHT
-from learn2assemble.robot.holding import LEVEL, Way, attitude, tilt_of, ways_to_turn
+from learn2assemble.robot.holding import LEVEL, MOST_TILT, Way, attitude, tilt_of, ways_to_turn
 from learn2assemble.robot.kinematics import get_chain
 
 BESIDE = 0.32
@@ -230,7 +230,8 @@ def set_up_team(assembly: Assembly, arms: Sequence[SiteArm], site: Site) -> list
         else:
             given = [source for source in given if _reaches(arm, source, mine)]
         used |= {source.name for source in given}
-        job = Job(mine, steps, assembly, arm, (), obstacles, assembly.friction)
+        most = LEVEL if narrow else MOST_TILT
+        job = Job(mine, steps, assembly, arm, (), obstacles, assembly.friction, most_tilt=most)
         job = supplied(replace(job, arm=resting(arm, base[3], mine)), given, site, taken, across)
         taken += [source.area.buffer(APART) for source in job.sources if source not in given]
         members.append(Member(one.name, job))

@@ -20,7 +20,7 @@ from learn2assemble.geometry.rotations import (
 )
 from learn2assemble.robot.bodies import Shape
 from learn2assemble.robot.grasps import WAY, facing
-from learn2assemble.robot.holding import MOST_TILT, attitude, ways_to_turn
+from learn2assemble.robot.holding import attitude, ways_to_turn
 from learn2assemble.robot.moves import ARM_THERE, AT_THE_SIDE, Move, Scene
 
 if TYPE_CHECKING:
@@ -77,8 +77,6 @@ class WorkcellBlocks:
         self.arm: tuple[tuple[np.ndarray, np.ndarray, Hull], ...] = ()
         """Where another arm stands: poses float64[7], half extents float64[3] [m] and hulls of
         solids around it, which nothing may touch."""
-        self.most_tilt: float = MOST_TILT
-        """Of the tool at one end of a way [rad]."""
         self.home: set[tuple[int, int]] = set()
         """Joints of studs that are pressed home: their lower and upper piece, -1 for the ground."""
         for n, source in enumerate(job.sources):
@@ -299,7 +297,7 @@ def moves(
     goals = [wanted @ turn for turn in piece.turns()]
     if not alone:
         goals = [goal for goal in goals if np.trace(now.T @ goal) > 1 + 2 * math.cos(FLAT)]
-    ways = ways_to_turn(arm, piece.shape, now, goals, world.most_tilt)
+    ways = ways_to_turn(arm, piece.shape, now, goals, world.job.most_tilt)
     if press is not None:
         at = {id(way): goal[:2] + (way.goal @ np.array(way.hold.point))[:2] for way in ways}
         ways.sort(key=lambda way: round(math.dist(at[id(way)], press), 3))
