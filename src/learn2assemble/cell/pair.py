@@ -114,10 +114,9 @@ def jobs_of(
     jobs = [
         replace(
             alike,
-            pieces=with_rests(alike.pieces, member.job.arm, member.rests),
+            pieces=with_rests(alike.pieces, member.job.arm),
             arm=member.job.arm,
             sources=member.job.sources,
-            most_tilt=member.job.most_tilt,
             obstacles=member.job.obstacles,
         )
         for member in members
