@@ -40,7 +40,7 @@ from learn2assemble.cell.world import (
     rows_of,
 )
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.rotations import quaternion_matrix, yaw_matrix
+from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.robot.approach import ApproachCache
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.bodies import Shape
@@ -86,8 +86,6 @@ GRID, MOST_TRIED = 0.04, 150
 """Between places that are tried for a magazine [m], and how many are."""
 MOST_WAYS = 12
 """Moves with which a magazine is tried."""
-LOW_HEIGHT = 0.05
-"""Above the table at which it is shown how far an arm reaches: that of a block that lies [m]."""
 LOW = 0.25
 """Structures lower than this need no raised base [m]."""
 
@@ -249,52 +247,6 @@ class ReachReport:
     def complete(self) -> bool:
         """Whether everything is within reach."""
         return not self.here.out
-
-
-def on_table(arm: Arm, height: float = LOW_HEIGHT) -> tuple[np.ndarray, ...]:
-    """Where the tool of an arm, upright as at home, reaches at a height above the table [m].
-
-    How far is looked for along one line from its base, which its first joint turns round.
-
-    Returns:
-        outlines of the area, float64[n, 2] each [m, world]: where the arm can turn all the way
-        round, the outer and the inner one, else one; none where it reaches nothing.
-    """
-    base = arm.base_position[:2]
-    chain = get_chain(arm)
-    point, rotation = forward(chain, arm.home)
-    facing = math.atan2(point[1] - base[1], point[0] - base[0])
-
-    def place(radius: float, turn: float) -> np.ndarray:
-        angle = facing + turn
-        return base + radius * np.array([math.cos(angle), math.sin(angle)])
-
-    def reached(radius: float, turn: float = 0.0) -> bool:
-        start = arm.home.copy()
-        start[0] += turn
-        at = np.array([*place(radius, turn), height])
-        return solve(arm, at, yaw_matrix(turn) @ rotation, start).ok
-
-    longest = float(np.linalg.norm([*chain.offset[1:], chain.tool_offset], axis=1).sum())
-    radii = [r for r in np.linspace(0.1, longest, 80).tolist() if reached(r)]
-    if not radii:
-        return ()
-    low, high, middle = radii[0], radii[-1], radii[len(radii) // 2]
-
-    def furthest(way: int) -> float:
-        turns = (math.radians(5 * k) for k in range(37))
-        return max(
-            itertools.takewhile(lambda turn: reached(middle, way * turn), turns), default=0.0
-        )
-
-    first, last = furthest(-1), furthest(1)
-    count = 1 + round(math.degrees(first + last) / 5)
-    outer, inner = (
-        np.array([place(r, turn) for turn in np.linspace(-first, last, count)]) for r in (high, low)
-    )
-    if first + last >= 2 * math.pi - 1e-6:
-        return outer[:-1], inner[:-1]
-    return (np.concatenate([outer, inner[::-1]]),)
 
 
 def report_reach(

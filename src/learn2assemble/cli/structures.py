@@ -151,12 +151,13 @@ def _standing(
     if out is None:
         return []
     from learn2assemble.cell.pieces import pieces_of
-    from learn2assemble.cell.reach import on_table, place_arm, resting
+    from learn2assemble.cell.reach import place_arm, resting
+    from learn2assemble.robot.approach import reached_area
     from learn2assemble.viewer.arm import StandingArm
 
     pieces = pieces_of(assembly)
     arms = [resting(place_arm(name, tool, at), at[3], pieces) for name, tool, at in placed]
-    return [StandingArm(arm, on_table(arm)) for arm in arms]
+    return [StandingArm(arm, reached_area(arm)) for arm in arms]
 
 
 def _team_reach(found: TeamReach, out: Path | None, output: Output) -> int:

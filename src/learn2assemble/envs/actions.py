@@ -11,7 +11,7 @@ from learn2assemble.kernels import kernel
 from learn2assemble.tasks.graph.features import Graph, empty_graph, graph_row, node_offset
 from learn2assemble.tasks.graph.placements import distinct_placements
 from learn2assemble.tasks.physics.support import STABLE, UNDECIDED, classify_cube
-from learn2assemble.tasks.simulator import Simulator, WorldTransition, advance, empty_turn
+from learn2assemble.tasks.simulator import Simulator, WorldTransition, advance, step_arrays
 from learn2assemble.tasks.task import Task
 from learn2assemble.tasks.world.blocks import ActionSpec
 from learn2assemble.tasks.world.coverage import DepthFilter
@@ -172,14 +172,14 @@ def _see(
 
 
 @kernel
-def _play(
+def _step(
     state: State,
     flat: np.ndarray,
     rules: tuple[ActionSpec, bool, bool, np.ndarray, DepthFilter, int, float],
     actions: np.ndarray,
     clipped: np.ndarray,
     reward: np.ndarray,
-    happened: np.ndarray,
+    flags: np.ndarray,
     verdict: np.ndarray,
     scratch: np.ndarray,
     rotations: int,
@@ -218,7 +218,7 @@ def _play(
         kind,
         threshold,
         reward,
-        happened,
+        flags,
         verdict,
         scratch,
     )
@@ -308,7 +308,7 @@ class Seen(NamedTuple):
     """float64[B]: F_pl."""
 
 
-class Played(NamedTuple):
+class Stepped(NamedTuple):
     """What actions did to B worlds."""
 
     done: WorldTransition
@@ -339,27 +339,27 @@ class FlatActions:
         Args:
             surveys: whether it is said what static physics lets stand.
         """
-        task, sight = self.task, self._sight(state.batch_size)
+        task, views = self.task, self._views(state.batch_size)
         undecided = _see(
             state,
             self.simulator.frames,
             task.pitch,
             task.rotations,
             surveys and self._cubes,
-            *sight,
+            *views,
         )
-        return self._seen(state, sight, undecided, surveys)
+        return self._seen(state, views, undecided, surveys)
 
-    def _sight(self, batch: int) -> tuple[np.ndarray, ...]:
+    def _views(self, batch: int) -> tuple[np.ndarray, ...]:
         """Arrays that are seen: graph, coverage and masks."""
         n = self.task.num_nodes
         masks = np.zeros((2, batch, n, n, self.task.num_actions), np.bool_)
         return *empty_graph(batch, n), np.empty((2, batch)), masks
 
     def _seen(
-        self, state: State, sight: tuple[np.ndarray, ...], undecided: int, surveys: bool
+        self, state: State, views: tuple[np.ndarray, ...], undecided: int, surveys: bool
     ) -> Seen:
-        nodes, object_id, counts, coverage, masks = sight
+        nodes, object_id, counts, coverage, masks = views
         flat = masks.reshape(2, len(nodes), -1)
         # Indexed, as taking an array apart costs as much as the compiled call.
         legal, stable = flat[0], flat[1]
@@ -368,7 +368,7 @@ class FlatActions:
         graph = Graph(nodes, object_id, counts[0], counts[1], counts[2])
         return Seen(graph, legal, stable, coverage[0], coverage[1])
 
-    def play(self, state: State, numbers: np.ndarray, surveys: bool) -> Played:
+    def step(self, state: State, numbers: np.ndarray, surveys: bool) -> Stepped:
         """Carry out an action in every world, in place.
 
         Args:
@@ -379,23 +379,23 @@ class FlatActions:
         refused = np.zeros(batch, np.bool_)
         if not simulator.decides:
             actions, clipped = resolve_actions(self.task, state, numbers)
-            return Played(simulator.step(state, actions), clipped, refused, None)
+            return Stepped(simulator.step(state, actions), clipped, refused, None)
         actions, clipped = np.empty((batch, 3), np.int64), np.empty(batch, np.bool_)
-        turn, sight = empty_turn(batch), self._sight(batch)
-        left, undecided = _play(
+        arrays, views = step_arrays(batch), self._views(batch)
+        left, undecided = _step(
             state,
             numbers,
             simulator.rules,
             actions,
             clipped,
-            *turn,
+            *arrays,
             self.task.rotations,
             surveys and self._cubes,
-            *sight,
+            *views,
         )
-        done = simulator.finish(state, turn, left)
-        seen = None if left else self._seen(state, sight, undecided, surveys)
-        return Played(done, clipped, refused, seen)
+        done = simulator.finish(state, arrays, left)
+        seen = None if left else self._seen(state, views, undecided, surveys)
+        return Stepped(done, clipped, refused, seen)
 
 
 class PlacementActions:
@@ -435,8 +435,8 @@ class PlacementActions:
         _middles(found.cells, found.members, found.count, out)
         return out
 
-    def play(self, state: State, numbers: np.ndarray, surveys: bool) -> Played:
-        """As :meth:`FlatActions.play`, of what was seen last; none is clipped, and the padding is
+    def step(self, state: State, numbers: np.ndarray, surveys: bool) -> Stepped:
+        """As :meth:`FlatActions.step`, of what was seen last; none is clipped, and the padding is
         refused, which ends an episode as an invalid placement does."""
         padding = numbers >= self._found.count
         chosen = self._local[np.arange(len(numbers)), np.where(padding, 0, numbers)]
@@ -444,7 +444,7 @@ class PlacementActions:
         state.terminated[refused] = True
         done = self.simulator.step(state, chosen)
         done.reward[refused], done.terminated[refused] = INVALID, True
-        return Played(done, np.zeros(len(numbers), np.bool_), refused, None)
+        return Stepped(done, np.zeros(len(numbers), np.bool_), refused, None)
 
 
 ACTION_SPACES: dict[str, type[FlatActions] | type[PlacementActions]] = {

@@ -125,7 +125,7 @@ class _Worlds:
         numbers, mask = self._checked(flat), self._physics_mask
         if self._seen is None:
             self.look()
-        done, clipped, refused, self._seen = self.numbering.play(self.state, numbers, mask)
+        done, clipped, refused, self._seen = self.numbering.step(self.state, numbers, mask)
         self._ended = done.terminated
         columns = done.verdict, done.success, clipped, refused
         return done, [

@@ -2,11 +2,12 @@
 
 A path begins at the contact (or below it) and leads upwards, first along the approach axis of the
 hand, then along the vertical. Every solution of the inverse kinematics starts from its neighbour,
-so a path stays on one branch of solutions.
+so a path stays on one branch of solutions. :func:`reached_area` is what an arm reaches at a height.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
@@ -16,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from learn2assemble.geometry.rotations import yaw_matrix
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.grasps import WAY, Attitude
 from learn2assemble.robot.inverse import RESTARTS, ik_seeds, seed_distances, solve
@@ -23,6 +25,8 @@ from learn2assemble.robot.joint_path import joint_path
 from learn2assemble.robot.kinematics import forward, forward_many, get_chain
 from learn2assemble.robot.moves import LEVEL
 
+LOW_HEIGHT = 0.05
+"""Above the table at which it is shown how far an arm reaches: that of a block that lies [m]."""
 RISE = (0.0, 0.008, 0.03, WAY)
 """Distances of poses from the contact along the approach axis [m], close where things are near."""
 SPACING = 0.02
@@ -274,3 +278,49 @@ def approach_paths(
 def travel_time(arm: Arm, way: Sequence[np.ndarray]) -> float:
     """Time from one joint position to the next, the slowest joint at full speed [s]."""
     return float(np.sum(np.max(np.abs(np.diff(way, axis=0)) / arm.velocity, axis=1)))
+
+
+def reached_area(arm: Arm, height: float = LOW_HEIGHT) -> tuple[np.ndarray, ...]:
+    """Where the tool of an arm, upright as at home, reaches at a height above the table [m].
+
+    How far is looked for along one line from its base, which its first joint turns round.
+
+    Returns:
+        outlines of the area, float64[n, 2] each [m, world]: where the arm can turn all the way
+        round, the outer and the inner one, else one; none where it reaches nothing.
+    """
+    base = arm.base_position[:2]
+    chain = get_chain(arm)
+    point, rotation = forward(chain, arm.home)
+    facing = math.atan2(point[1] - base[1], point[0] - base[0])
+
+    def place(radius: float, turn: float) -> np.ndarray:
+        angle = facing + turn
+        return base + radius * np.array([math.cos(angle), math.sin(angle)])
+
+    def reached(radius: float, turn: float = 0.0) -> bool:
+        start = arm.home.copy()
+        start[0] += turn
+        at = np.array([*place(radius, turn), height])
+        return solve(arm, at, yaw_matrix(turn) @ rotation, start).ok
+
+    longest = float(np.linalg.norm([*chain.offset[1:], chain.tool_offset], axis=1).sum())
+    radii = [r for r in np.linspace(0.1, longest, 80).tolist() if reached(r)]
+    if not radii:
+        return ()
+    low, high, middle = radii[0], radii[-1], radii[len(radii) // 2]
+
+    def furthest(way: int) -> float:
+        turns = (math.radians(5 * k) for k in range(37))
+        return max(
+            itertools.takewhile(lambda turn: reached(middle, way * turn), turns), default=0.0
+        )
+
+    first, last = furthest(-1), furthest(1)
+    count = 1 + round(math.degrees(first + last) / 5)
+    outer, inner = (
+        np.array([place(r, turn) for turn in np.linspace(-first, last, count)]) for r in (high, low)
+    )
+    if first + last >= 2 * math.pi - 1e-6:
+        return outer[:-1], inner[:-1]
+    return (np.concatenate([outer, inner[::-1]]),)

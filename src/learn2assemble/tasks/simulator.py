@@ -62,12 +62,12 @@ class WorldTransition(NamedTuple):
     """int8[B] of `physics.protocol.PlacementVerdict`."""
 
 
-class Turn(NamedTuple):
+class StepArrays(NamedTuple):
     """What :func:`advance` writes into; few arrays, as each costs where one world is stepped."""
 
     reward: np.ndarray
     """float64[B]."""
-    happened: np.ndarray
+    flags: np.ndarray
     """bool[2, B]: whether it has ended; success."""
     verdict: np.ndarray
     """int8[B]."""
@@ -75,9 +75,9 @@ class Turn(NamedTuple):
     """int64[3, B]: plane-filtered cover before; rows still to be judged; rows that were."""
 
 
-def empty_turn(batch: int) -> Turn:
-    """Nothing has happened yet."""
-    return Turn(
+def step_arrays(batch: int) -> StepArrays:
+    """Nothing has flags yet."""
+    return StepArrays(
         np.zeros(batch),
         np.zeros((2, batch), np.bool_),
         np.zeros(batch, np.int8),
@@ -153,7 +153,7 @@ def advance(
     kind: int,
     threshold: float,
     reward: np.ndarray,
-    happened: np.ndarray,
+    flags: np.ndarray,
     verdict: np.ndarray,
     rows: np.ndarray,
 ) -> int:
@@ -165,9 +165,9 @@ def advance(
 
     Args:
         spec, cubes, decide, frames, depths, kind, threshold: :attr:`Simulator.rules`.
-        reward, happened, verdict, rows: a :class:`Turn`.
+        reward, flags, verdict, rows: a :class:`StepArrays`.
     """
-    ended, success = happened
+    ended, success = flags
     previous, pending, scored = rows
     if cubes:
         _propose_cubes(state, actions, len(spec.turns), spec.pitch, previous)
@@ -306,13 +306,13 @@ class Simulator:
         """
         if not self.decides:
             self.physics.prepare(state, np.flatnonzero(~state.terminated), actions)
-        turn = empty_turn(state.batch_size)
-        return self.finish(state, turn, advance(state, actions, *self.rules, *turn))
+        arrays = step_arrays(state.batch_size)
+        return self.finish(state, arrays, advance(state, actions, *self.rules, *arrays))
 
-    def finish(self, state: State, turn: Turn, left: int) -> WorldTransition:
+    def finish(self, state: State, arrays: StepArrays, left: int) -> WorldTransition:
         """What a step did, once the physics has judged those rows that :func:`advance` left."""
-        reward, happened, verdict, scratch = turn
-        ended, success = happened[0], happened[1]
+        reward, flags, verdict, scratch = arrays
+        ended, success = flags[0], flags[1]
         if left or not self.decides:
             previous, rows = scratch[0], scratch[1, :left]
             _, _, _, frames, depths, kind, threshold = self.rules
