@@ -19,13 +19,13 @@ import pytest
 
 from arm_record import arm_plan, arm_record
 from headless import SPATIAL, browse, find_browser, pixels, shoot
-from learn2assemble.cell.reach import on_table
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_matrix
 from learn2assemble.motion.record import BuildRecord, Stage
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot import shape as shapes
+from learn2assemble.robot.approach import reached_area
 from learn2assemble.robot.arm import arm_model, arms_spec, get_arm
 from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.kinematics import forward, get_chain
@@ -294,7 +294,7 @@ def test_the_page_is_small_and_needs_nothing(tmp_path: Path) -> None:
 def test_what_an_arm_reaches_on_the_table(name: str) -> None:
     arm = get_arm(name, "suction", (0.3, -0.4, 0.0, 1.0))
     base, rotation = arm.base_position[:2], forward(get_chain(arm), arm.home)[1]
-    corners = np.concatenate(on_table(arm))
+    corners = np.concatenate(reached_area(arm))
     away = np.linalg.norm(corners - base, axis=1)
     assert 0.5 < away.max() < 1.0
     assert away.min() < 0.3
