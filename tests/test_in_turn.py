@@ -20,9 +20,9 @@ from learn2assemble.cell.crew import LIP_ROOM, ArmCrew, Member
 from learn2assemble.cell.in_turn import (
     MOST_BACK,
     about_vertical,
-    boxes_of,
     build_in_turn,
     moved_by,
+    solids_of,
 )
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
@@ -140,21 +140,24 @@ def test_what_is_in_a_hand_cannot_be_gone_on_with_from_a_file(
     assert log.read_text() == "what another build wrote\n"
 
 
-def test_boxes_around_an_arm_contain_it() -> None:
+def test_solids_around_an_arm_contain_it() -> None:
     rng = np.random.default_rng(0)
     for name in ("panda", "ur5e"):
         arm = get_arm(name, "suction", (0.1, -0.4, 0.0, 1.0))
         capsules = capsules_of(arm)
         joints = arm.home + rng.normal(0, 0.3, len(arm.home))
         lines = placed(get_chain(arm), capsules, joints[None].copy())[0]
-        for (pose, half), (a, b), radius in zip(
-            boxes_of(arm, joints), lines, capsules.radius, strict=True
+        for (pose, half, hull), (a, b), radius in zip(
+            solids_of(arm, joints), lines, capsules.radius, strict=True
         ):
             ways = rng.normal(size=(50, 3))
             ways *= radius / np.linalg.norm(ways, axis=1)[:, None]
             points = a + rng.random((50, 1)) * (b - a) + ways
             own = (points - pose[:3]) @ quaternion_matrix(pose[3:])
             assert (np.abs(own) <= half - 0.01).all()
+            outside = own @ hull.normals.T - hull.offsets
+            assert (outside <= -0.0115).all()
+            assert outside.max(1).max() > -0.02
 
 
 def test_a_cup_that_is_moved_aside_stays_on_its_face() -> None:

@@ -35,7 +35,6 @@ from learn2assemble.cell.world import (
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.planning.crew import Bringing
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.capsules import Capsules, capsules_of, in_hand, solid_capsules
 from learn2assemble.robot.grasps import FIRST, WAY
 from learn2assemble.robot.hand import hand_limits
@@ -53,7 +52,7 @@ OUT = (0.0, 0.12, 0.2)
 """Where blocks lean, an arm that holds may lean over the place of the next one: so far a hand keeps
 to the way by which its block comes, and to its own axis when it leaves, before it goes straight up
 [m]; 0: as everywhere."""
-FINE = 0.015
+FINE = 0.008
 """Half of what of a block is in one capsule [m]: next to a block that another hand holds, one that
 comes is as near to that hand as it ever is, and rounder than it is it would not come by."""
 ALIKE = 1e-3
@@ -105,6 +104,17 @@ class Member:
     job: Job
     """What it could build alone, with the places that it takes blocks from."""
 
+    @property
+    def rests(self) -> dict[str, np.ndarray]:
+        """Rotations float64[3, 3] in which blocks wait for it, by name."""
+        return {piece.id: piece.rest for piece in self.job.pieces}
+
+
+def leaning(contacts: Contacts) -> np.ndarray:
+    """bool[C]: whether joints lean."""
+    steep = np.abs(contacts.normal[:, 2])
+    return (steep > LEANING) & (steep < 1 - LEANING)
+
 
 class ArmCrew:
     """The arms of a cell and some blocks.
@@ -121,14 +131,13 @@ class ArmCrew:
         self.cells: list[KinematicCell] = []
         for member in members:
             job = member.job
-            pieces = with_rests(pieces_of(whole), job.arm)
+            pieces = with_rests(pieces_of(whole), job.arm, member.rests)
             job = replace(job, pieces=pieces, assembly=whole)
             self.worlds.append(WorkcellBlocks(job))
             self.cells.append(KinematicCell(job.arm, cells_of(job)))
         self._begin = [(list(w.state), w.pose.copy()) for w in self.worlds]
         self._contacts: Contacts = find_contacts(whole)
-        steep = np.abs(self._contacts.normal[:, 2])
-        self._leans = bool(((steep > LEANING) & (steep < 1 - LEANING)).any())
+        self._leans = bool(leaning(self._contacts).any())
         self._holding: dict[bytes, Reached] = {}
         """By the hand, how the arm holds."""
         self._known: dict[tuple[int, int, bytes], tuple[list[Reached], Iterator[Reached]]] = {}
@@ -279,10 +288,10 @@ class ArmCrew:
             if np.linalg.norm(way) < 1e-3:
                 return None
             way = way / np.linalg.norm(way)
-            far = _room(piece, moved, approach, way, inside)
-            if far < 2 * LIP_ROOM:
+            there = _farthest(piece, moved, approach, way, inside)
+            if there is None or np.linalg.norm(there - moved) < 2 * LIP_ROOM:
                 return None
-            moved = moved + far * way
+            moved = there
         u, v, w = (np.array(place.aside) + tool.T @ (moved - point)).tolist()
         grasp, there = (one._replace(aside=(u, v, w)) for one in (move.grasp, place))
         return move._replace(grasp=grasp, place=there)
@@ -294,11 +303,12 @@ class ArmCrew:
         cells = rows.scene.members(move.cell)
         place, quaternion = carried(rows.scene, move, cells)
         tool, point = move.place.rotation(), move.place.tool_point(move.target)
-        held = capsules_of(member.job.arm)
+        held, pieces = capsules_of(member.job.arm), self.worlds[number].pieces
         for centre, turn, cell in zip(place, quaternion, cells.tolist(), strict=True):
-            box = Part((0.0, 0.0, 0.0), tuple(rows.scene.halves[cell].tolist()))
+            part = pieces[rows.owner[cell]].shape[rows.part[cell]]
             axes = tool.T @ quaternion_matrix(turn)
-            block = solid_capsules([box], tool.T @ (centre - point), axes, FINE)
+            alone = part._replace(centre=(0.0, 0.0, 0.0))
+            block = solid_capsules([alone], tool.T @ (centre - point), axes, FINE)
             held = held.add(in_hand(member.job.arm, block))
         at, limits, most = hand_limits(member.job.arm, move, found.place[0])
         hand = Hand.within(at.tolist(), limits, most, member.name)
@@ -343,24 +353,29 @@ class ArmCrew:
             world.pose[k] = world.target(k) if there else poses[k]
 
 
-def _room(
+def _farthest(
     piece: Piece, point: np.ndarray, approach: np.ndarray, way: np.ndarray, inside: float
-) -> float:
-    """How far a point of a face of a block in its place may be moved along a way in the face until
-    it is as near to an edge as ``inside`` [m]; 0 where it is on none."""
+) -> np.ndarray | None:
+    """Where on a face of a block in its place a cup is farthest along a way in the face, with its
+    middle no nearer to an edge than ``inside`` [m]; None where it is on none. Of points as far as
+    one another it is the one nearest to ``point``."""
+    import shapely
+
     solid, turn = piece.shape[0].solid, piece.turn
     middle = piece.pose[:3] + turn @ np.array(piece.shape[0].centre)
     for face, normal in enumerate(solid.normals):
-        outward = turn @ normal
-        if outward @ approach > -1 + 1e-6:
+        if (turn @ normal) @ approach > -1 + 1e-6:
             continue
-        corners = middle + solid.polygon(face) @ turn.T
-        inwards = np.cross(outward, np.roll(corners, -1, 0) - corners)
-        inwards /= np.linalg.norm(inwards, axis=1)[:, None]
-        away, slope = ((point - corners) * inwards).sum(1), inwards @ way
-        ahead = [(a - inside) / -s for a, s in zip(away, slope, strict=True) if s < -1e-6]
-        return max(min(ahead, default=0.0), 0.0)
-    return 0.0
+        axes = np.stack([way, np.cross(approach, way)])
+        corners = (middle + solid.polygon(face) @ turn.T - point) @ axes.T
+        room = shapely.get_coordinates(shapely.Polygon(corners).buffer(-inside))
+        if not len(room):
+            return None
+        most = room[:, 0].max()
+        edge = room[room[:, 0] > most - 1e-6, 1]
+        across = float(np.clip(0.0, edge.min(), edge.max()))
+        return point + np.array([most, across]) @ axes
+    return None
 
 
 def _lip(move: Move) -> tuple[float, ...]:

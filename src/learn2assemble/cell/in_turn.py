@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -20,7 +21,7 @@ import numpy as np
 from learn2assemble.assembly.hands import Hand
 from learn2assemble.cell.arrange import Arranged, Structure
 from learn2assemble.cell.building import Building, Prepared
-from learn2assemble.cell.crew import ArmCrew, Member, Reached
+from learn2assemble.cell.crew import FINE, ArmCrew, Member, Reached
 from learn2assemble.cell.pair import Pair, jobs_of, workcell_of
 from learn2assemble.cell.reach import cells_of
 from learn2assemble.cell.state import Action
@@ -30,6 +31,7 @@ from learn2assemble.cell.traffic import STANDS
 from learn2assemble.cell.workcell import Progress, Workcell
 from learn2assemble.cell.world import STANDING, Rows, direction_of, rows_of, supply_of
 from learn2assemble.errors import InputError
+from learn2assemble.geometry.hulls import Hull, hull_of
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, yaw_matrix
 from learn2assemble.motion.plant import Guard, Motion, PlantError, Stop
 from learn2assemble.motion.setup import Setup
@@ -57,6 +59,8 @@ PRESSES = 0.01
 """It is told to be no farther from there than this [rad], whatever is in its way: no drive of our
 arms turns with more than 45 N m for that."""
 KEPT = Guard(hold="kept")
+MOVED = 5e-5
+"""A block that the hand which holds it has moved farther is told to be elsewhere [m]."""
 GIVES, AT_ONCE = 0.3, STANDS
 """Of how far the joints of an arm that holds are off, so much is taken back every time, and no more
 than this [rad]."""
@@ -278,15 +282,15 @@ class InTurn(Together[Cell]):
 
     # ------------------------------------------------------------ the other arm
 
-    def _other_stands(self, who: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-        """Boxes around the other arm where it stands."""
+    def _other_stands(self, who: int) -> tuple[tuple[np.ndarray, np.ndarray, Hull], ...]:
+        """Solids around the other arm where it stands."""
         other = self.buildings[1 - who]
-        return boxes_of(other.job.arm, other.plant.sense().joints)
+        return solids_of(other.job.arm, other.plant.sense().joints)
 
     def _beginner(self, who: int) -> Callable[[Execution, str], bool]:
         def begin(run: Execution, block: str) -> bool:
             self.moves[who] = self.buildings[who].world.names.index(block)
-            route = route_of(run, block)
+            route = route_of(run, block, widest=FINE)
             # What has to be free of it is looked at motion by motion: nobody else moves.
             self.traffic.begins(who, route._replace(legs=()))
             return True
@@ -319,6 +323,11 @@ class InTurn(Together[Cell]):
                     raise PlantError(Stop.REFUSED, f"{self.over}; it holds {world.pieces[k].id}")
                 self.plant.loosen()
                 keep(run, there)
+                pose = sight.held_pose(building.plant.sense().joints)
+                if np.abs(pose[:3] - world.pose[k, :3]).max() > MOVED:
+                    # The next block is put where this one is by then.
+                    world.pose[k] = pose
+                    self._tell(who, {k})
             world.arm = self._other_stands(who)
             building.attempts.leave_anew(run, rows_of(world, world.pose, k))
 
@@ -354,11 +363,12 @@ def keep(run: Execution, there: np.ndarray) -> None:
     run.do(Motion("place", np.array([0.0, TURN]), joints, np.zeros_like(joints)), (KEPT,))
 
 
-def boxes_of(arm: Arm, joints: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """Boxes around the capsules of an arm that stands at joints float64[n] [rad], and what others
-    keep from these: poses float64[7] and half extents float64[3] [m]."""
+def solids_of(arm: Arm, joints: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray, Hull], ...]:
+    """Solids around the capsules of an arm that stands at joints float64[n] [rad], and what others
+    keep from these: poses float64[7], half extents of the boxes around them float64[3] [m], and
+    their hulls."""
     capsules = capsules_of(arm)
-    found = list[tuple[np.ndarray, np.ndarray]]()
+    found = list[tuple[np.ndarray, np.ndarray, Hull]]()
     lines = placed(get_chain(arm), capsules, joints[None].copy())[0]
     for (a, b), radius in zip(lines, capsules.radius.tolist(), strict=True):
         axis, length = b - a, float(np.linalg.norm(b - a))
@@ -366,12 +376,36 @@ def boxes_of(arm: Arm, joints: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray
         x = np.cross(z, [0.0, 0.0, 1.0] if abs(z[2]) < 0.9 else [1.0, 0.0, 0.0])
         x /= np.linalg.norm(x)
         turn = np.stack([x, np.cross(z, x), z], 1)
-        wide = radius + ROOM
+        hull = _rounded(round(length, 9), radius + ROOM)
         pose = np.array([*(a + b) / 2, *matrix_quaternion(turn)])
-        found.append((pose, np.array([wide, wide, length / 2 + wide])))
+        found.append((pose, hull.points.max(0), hull))
     return tuple(found)
 
 
+@lru_cache(maxsize=256)
+def _rounded(length: float, radius: float) -> Hull:
+    """A polyhedron around a capsule along z about the origin, nowhere more than 7 % of the radius
+    outside it: what comes past a hand has a centimetre or two, which a box would take.
+
+    Args:
+        length: of its line [m].
+    """
+    step = 2 * math.pi / SIDES
+    # Polygons around circles, along the axis and about it.
+    wide = radius / math.cos(step / 2)
+    rings = [(wide * math.cos(k), wide * math.sin(k)) for k in np.arange(0.5, SIDES / 4) * step]
+    around = np.arange(SIDES) * step
+    points = [
+        (out * math.cos(angle) / math.cos(step / 2), out * math.sin(angle) / math.cos(step / 2), z)
+        for out, up in rings
+        for z in (-length / 2 - up, length / 2 + up)
+        for angle in around.tolist()
+    ]
+    return hull_of(np.array(points))
+
+
+SIDES = 12
+"""Of the polygons around an arm that holds."""
 ROOM = 0.012
-"""That boxes around an arm are larger than it on all sides [m]: ways keep as far from them, or from
-the capsules in them, as from everything, 5 mm."""
+"""That solids around an arm are larger than it on all sides [m]: ways keep as far from them, or
+from the capsules in them, as from everything, 5 mm."""

@@ -114,9 +114,10 @@ def jobs_of(
     jobs = [
         replace(
             alike,
-            pieces=with_rests(alike.pieces, member.job.arm),
+            pieces=with_rests(alike.pieces, member.job.arm, member.rests),
             arm=member.job.arm,
             sources=member.job.sources,
+            most_tilt=member.job.most_tilt,
             obstacles=member.job.obstacles,
         )
         for member in members

@@ -8,9 +8,10 @@ itself: the one from which the tool has to be tilted least to turn it into its p
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -450,16 +451,25 @@ def _levelled(shape: Shape, turn: np.ndarray) -> np.ndarray:
     return _exact(axes.T @ turn)
 
 
-def with_rests(pieces: Sequence[Piece], arm: Arm) -> tuple[Piece, ...]:
+def with_rests(
+    pieces: Sequence[Piece], arm: Arm, rests: Mapping[str, np.ndarray] = MappingProxyType({})
+) -> tuple[Piece, ...]:
     """The pieces, waiting on the faces from which the tool of an arm turns them into their poses
-    with the least tilt."""
+    with the least tilt.
+
+    Args:
+        rests: rotations in which some of them wait all the same, by name.
+    """
     known: dict[tuple[Shape, tuple[float, float, float]], np.ndarray] = {}
     out = list[Piece]()
     for piece in pieces:
-        key = piece.shape, _three(piece.turn[2].round(6))
-        if key not in known:
-            known[key] = _best_rest(piece, arm)
-        out.append(replace(piece, rest=known[key]))
+        rest = rests.get(piece.id)
+        if rest is None:
+            key = piece.shape, _three(piece.turn[2].round(6))
+            if key not in known:
+                known[key] = _best_rest(piece, arm)
+            rest = known[key]
+        out.append(replace(piece, rest=rest))
     return tuple(out)
 
 

@@ -7,6 +7,7 @@ it meanwhile with what its hand can give, and posts, set by hand, where that is 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -15,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep
-from learn2assemble.cell.crew import ArmCrew, Member
-from learn2assemble.cell.pieces import Piece, pieces_of, with_rests
+from learn2assemble.assembly.contacts import GROUND, Contacts, find_contacts
+from learn2assemble.cell.crew import ArmCrew, Member, leaning
+from learn2assemble.cell.pieces import Piece, pieces_of, ways_to_rest, with_rests
 from learn2assemble.cell.reach import (
     APART,
     DISTANCES,
@@ -42,6 +44,10 @@ from learn2assemble.planning.reports import BuilderArm
 from learn2assemble.planning.sequence import Supports
 from learn2assemble.robot.approach import ApproachCache
 from learn2assemble.robot.arm import Arm, get_arm
+from learn2assemble.robot.capsules import capsules_of, placed
+from learn2assemble.robot.grasps import UPRIGHT
+from learn2assemble.robot.holding import LEVEL, MOST_TILT, Way, attitude, tilt_of, ways_to_turn
+from learn2assemble.robot.kinematics import get_chain
 
 BESIDE = 0.32
 """Bases stand no nearer to each other, for what they cover [m]."""
@@ -50,6 +56,14 @@ BASE_RADIUS = 0.16
 FAR = (0.65, 0.6, 0.55, 0.5, 0.45, 0.7, 0.75, 0.4)
 """Distances of bases from the middle of arms with fingers, the preferred ones first [m]: hands are
 wide and reach past each other only where the arms stretch from afar."""
+AHEAD = math.cos(math.radians(40.0))
+"""The axis of a tool that puts a block down by the face on its own side is off the way from the
+base of its arm to the block by less."""
+NARROW = 0.09
+"""Wrists are so wide [m]: where leaning joints of a block are nearer to each other, two hands have
+no room side by side above it and the next one."""
+ABOVE = 0.01
+"""All of an arm stays so far above the ground then [m]."""
 TOOL = "suction"
 """Of an arm of which nothing else is said."""
 
@@ -202,11 +216,12 @@ def set_up_team(assembly: Assembly, arms: Sequence[SiteArm], site: Site) -> list
     taken += [outline(o) for o in obstacles]
     members: list[Member] = []
     used: set[str] = set()
+    narrow = len(found.arms) > 1 and between_leaning(find_contacts(assembly)) < NARROW
     for number, one in enumerate(found.arms):
         base = _base_of(one)
         across = np.array(_base_of(found.arms[1 - number])[:2])
         arm = place_arm(one.arm, one.tool or TOOL, base)
-        mine = with_rests(pieces, arm)
+        mine = with_rests(pieces, arm, own_side(pieces, arm) if narrow else {})
         given = given_sources(site, mine, order)
         if one.magazines is not None:
             names = {f"{site.source}: magazines[{n}]" for n in one.magazines}
@@ -215,7 +230,8 @@ def set_up_team(assembly: Assembly, arms: Sequence[SiteArm], site: Site) -> list
         else:
             given = [source for source in given if _reaches(arm, source, mine)]
         used |= {source.name for source in given}
-        job = Job(mine, steps, assembly, arm, (), obstacles, assembly.friction)
+        most = LEVEL if narrow else MOST_TILT
+        job = Job(mine, steps, assembly, arm, (), obstacles, assembly.friction, most_tilt=most)
         job = supplied(replace(job, arm=resting(arm, base[3], mine)), given, site, taken, across)
         taken += [source.area.buffer(APART) for source in job.sources if source not in given]
         members.append(Member(one.name, job))
@@ -225,6 +241,62 @@ def set_up_team(assembly: Assembly, arms: Sequence[SiteArm], site: Site) -> list
             what = f"{site.source}: magazines[{n}]"
             raise InputError(what, at, "a place that one of the arms takes from and reaches")
     return members
+
+
+def between_leaning(contacts: Contacts) -> float:
+    """Least distance of two joints of a block that lean, from middle to middle [m]; infinite
+    without any."""
+    lean = leaning(contacts)
+    count = np.bincount(contacts.patch, minlength=len(lean))[:, None]
+    middle = np.zeros((len(lean), 3))
+    np.add.at(middle, contacts.patch, contacts.points / count[contacts.patch])
+    joints: dict[int, list[np.ndarray]] = {}
+    for a, b, at in zip(contacts.a[lean], contacts.b[lean], middle[lean], strict=True):
+        for block in (int(a), int(b)):
+            joints.setdefault(block, []).append(at)
+    joints.pop(GROUND, None)
+    pairs = (pair for each in joints.values() for pair in itertools.combinations(each, 2))
+    return min((float(np.linalg.norm(one - other)) for one, other in pairs), default=math.inf)
+
+
+def own_side(pieces: Sequence[Piece], arm: Arm) -> dict[str, np.ndarray]:
+    """Rotations in which blocks wait that an arm then puts down with its tool level, by the face
+    on its own side: two arms across from one another are in each other's way least so.
+
+    Args:
+        pieces: of a structure whose joints lean, so hands have to hold.
+
+    Returns:
+        float64[3, 3] by name; without those for which the tool has no room above the ground.
+    """
+    cache, found = ApproachCache(arm), dict[str, np.ndarray]()
+    for piece in pieces:
+        ahead = (piece.target - arm.base_position) * [1.0, 1.0, 0.0]
+        ahead /= max(float(np.linalg.norm(ahead)), 1e-9)
+        goals, best = [piece.turn @ turn for turn in piece.turns()], AHEAD
+        for rest in ways_to_rest(piece):
+            for way in ways_to_turn(arm, piece.shape, rest, goals, LEVEL):
+                towards = float(way.place[:, 2] @ ahead)
+                if towards < best + 1e-6 or tilt_of(way.grasp) > UPRIGHT or way.aside:
+                    continue
+                if _above_ground(cache, piece, way):
+                    found[piece.id], best = rest, towards
+    return found
+
+
+def _above_ground(cache: ApproachCache, piece: Piece, way: Way) -> bool:
+    """Whether an arm puts a block down so with all of it above the ground."""
+    arm, centre = cache.arm, np.array(piece.shape[way.hold.part].centre)
+    place = attitude(way.hold, centre, way.goal, way.place)
+    where, capsules = piece.pose[:3] + way.goal @ centre, capsules_of(arm)
+    moved = capsules.link > 1  # What is below turns about the vertical.
+    for angle in (0.0, *arm.turns):
+        joints = cache.solve(where, place.spun(angle), float(where[2]))
+        if not isinstance(joints, str):
+            lines = placed(get_chain(arm), capsules, joints[:1].copy())[0]
+            if (lines[..., 2].min(1) - capsules.radius)[moved].min() > ABOVE:
+                return True
+    return False
 
 
 def _base_of(one: SiteArm) -> Base:

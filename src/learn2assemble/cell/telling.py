@@ -12,7 +12,7 @@ import numpy as np
 from learn2assemble.cell.building import Building
 from learn2assemble.cell.traffic import Leg, Route
 from learn2assemble.cell.world import STANDING, STOCK
-from learn2assemble.robot.capsules import capsules_of, in_hand, solid_capsules
+from learn2assemble.robot.capsules import WIDEST, capsules_of, in_hand, solid_capsules
 from learn2assemble.robot.sweeps import still, sweep
 from learn2assemble.simulation.execution import Execution
 from learn2assemble.simulation.model import Order, part_of
@@ -69,18 +69,22 @@ def tell(mine: Building, other: Building, changed: Set[int]) -> None:
     other.recording.sync()
 
 
-def route_of(run: Execution, block: str, along: Sequence[str] = ()) -> Route:
+def route_of(
+    run: Execution, block: str, along: Sequence[str] = (), widest: float = WIDEST
+) -> Route:
     """What an attempt that is about to begin announces.
 
     Args:
         run: the attempt.
         block: name of what it moves, ...
         along: ... and of what it brings along.
+        widest: half of what of a block is in one capsule at most [m]; the finer, the nearer it may
+            come to the other arm.
     """
     arm, order, plan = run.rig.arm, run.order, run.course.plan
     own, objects = capsules_of(arm), order.objects.shape[order.target]
     parts = [part_of(box) for box in objects]
-    held = in_hand(arm, solid_capsules(parts, *order.in_hand(plan.move.grasp)))
+    held = in_hand(arm, solid_capsules(parts, *order.in_hand(plan.move.grasp), widest))
     both = own.add(held)
     goal = still(solid_capsules(parts, *order.in_world(plan.move.grasp, plan.move.place)))
     empty = [("approach", way) for way in pairwise(run.course.there)]

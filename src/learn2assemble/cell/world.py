@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from learn2assemble.cell.workcell import DOWN, Direction, Job
+from learn2assemble.geometry.hulls import Hull
 from learn2assemble.geometry.rotations import (
     matrix_quaternion,
     quaternion_matrix,
@@ -73,9 +74,9 @@ class WorkcellBlocks:
         self.beside: np.ndarray = np.zeros((count, 3))
         """float64[N, 3]: how far from its place each is to stand now [m], see
         :attr:`StepOf.beside`."""
-        self.arm: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
-        """Where another arm stands: poses float64[7] and half extents float64[3] [m] of boxes
-        around it, which nothing may touch."""
+        self.arm: tuple[tuple[np.ndarray, np.ndarray, Hull], ...] = ()
+        """Where another arm stands: poses float64[7], half extents float64[3] [m] and hulls of
+        solids around it, which nothing may touch."""
         self.home: set[tuple[int, int]] = set()
         """Joints of studs that are pressed home: their lower and upper piece, -1 for the ground."""
         for n, source in enumerate(job.sources):
@@ -231,9 +232,9 @@ def rows_of(
         size, number = np.array(obstacle.size) / 2, len(world.pieces) + n
         turn = yaw_quaternion(obstacle.yaw)
         fixed.append((obstacle.middle, turn, number, size, None, OBSTACLE_DENSITY, -1, n))
-    for n, (pose, size) in enumerate(world.arm, len(fixed)):
+    for n, (pose, size, solid) in enumerate(world.arm, len(fixed)):
         number = len(world.pieces) + n
-        fixed.append((pose[:3], pose[3:], number, size, None, OBSTACLE_DENSITY, -1, n))
+        fixed.append((pose[:3], pose[3:], number, size, solid, OBSTACLE_DENSITY, -1, n))
     columns = fixed + columns
     place, turn, number, half, hull, density, owner, part = zip(*columns, strict=True)
     carried = sum(len(world.pieces[k].shape) for k in taken)
@@ -296,7 +297,7 @@ def moves(
     goals = [wanted @ turn for turn in piece.turns()]
     if not alone:
         goals = [goal for goal in goals if np.trace(now.T @ goal) > 1 + 2 * math.cos(FLAT)]
-    ways = ways_to_turn(arm, piece.shape, now, goals)
+    ways = ways_to_turn(arm, piece.shape, now, goals, world.job.most_tilt)
     if press is not None:
         at = {id(way): goal[:2] + (way.goal @ np.array(way.hold.point))[:2] for way in ways}
         ways.sort(key=lambda way: round(math.dist(at[id(way)], press), 3))

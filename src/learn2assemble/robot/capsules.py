@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import mujoco
 import numpy as np
@@ -132,11 +132,48 @@ def solid_capsules(
     """
     ends, radii = list[np.ndarray](), list[float]()
     for part in parts:
-        low, high = part.points.min(0), part.points.max(0)
-        lines, radius = _box((low + high) / 2, (high - low) / 2, widest)
+        lines, radius = _solid(part, widest)
         ends += list(position + lines @ turn.T)
-        radii += [radius] * len(lines)
+        radii += radius
     return Capsules(np.zeros(len(ends), np.int64), np.array(ends), np.array(radii))
+
+
+@lru_cache(maxsize=4096)
+def _solid(part: Part, widest: float) -> tuple[np.ndarray, list[float]]:
+    """Capsules around a convex part in its block's frame: lines float64[k, 2, 3] and radii [m].
+
+    They lie side by side along that axis on which the shadow of the part, drawn out, is least
+    larger than it: each is around a piece of the shadow.
+    """
+    import shapely
+
+    low, high = part.points.min(0), part.points.max(0)
+    if part.hull is None:
+        lines, radius = _box((low + high) / 2, (high - low) / 2, widest)
+        return lines, [radius] * len(lines)
+    library = cast("Any", shapely)  # Its stubs have arguments without a type.
+    shadows = [library.MultiPoint(np.delete(part.points, k, 1)).convex_hull for k in range(3)]
+    drawn = [shadow.area * long for shadow, long in zip(shadows, high - low, strict=True)]
+    axis = min(range(3), key=lambda k: (round(drawn[k] / part.volume, 6), low[k] - high[k]))
+    others = [k for k in range(3) if k != axis]
+    corner, size = low[others], (high - low)[others]
+    counts = np.ceil(size / 2 / widest - 1e-9).astype(int).clip(1)
+    lines, radii = list[np.ndarray](), list[float]()
+    for cell in np.ndindex(*counts.tolist()):
+        start, end = (corner + size * (np.array(cell) + k) / counts for k in (0, 1))
+        piece = library.get_coordinates(shadows[axis].intersection(library.box(*start, *end)))
+        if not len(piece):
+            continue
+        middle = (piece.min(0) + piece.max(0)) / 2
+        radius = float(np.linalg.norm(piece - middle, axis=1).max())
+        half = float(high[axis] - low[axis]) / 2
+        short = min(SHORTER * radius, half)
+        line = np.empty((2, 3))
+        line[:, others] = middle
+        line[:, axis] = (low[axis] + high[axis]) / 2 + (half - short) * np.array([-1.0, 1.0])
+        lines.append(line)
+        radii.append(float(np.hypot(radius, short)))
+    return np.array(lines), radii
 
 
 def in_hand(arm: Arm, block: Capsules) -> Capsules:
