@@ -161,7 +161,11 @@ class Fitting:
         if beds and not self.studs:
             goal[:3] += np.linalg.pinv(np.array(beds), rcond=1e-3) @ np.array(off)
         shift = goal[:3] - self.world.target(k)[:3]
-        goal[:3] += self._aside(k, set(standing), set(coming), shift)
+        aside = self._aside(k, set(standing), set(coming), shift)
+        for way in beds:
+            # What carries it gives no room: the last block of an arch would be put into it.
+            aside = aside - max(float(aside @ way), 0.0) * way
+        goal[:3] += aside
         return goal
 
     def home(self, k: int, standing: Collection[int]) -> np.ndarray:

@@ -117,7 +117,6 @@ def jobs_of(
             pieces=with_rests(alike.pieces, member.job.arm, member.rests),
             arm=member.job.arm,
             sources=member.job.sources,
-            most_tilt=member.job.most_tilt,
             obstacles=member.job.obstacles,
         )
         for member in members

@@ -46,8 +46,9 @@ from learn2assemble.robot.approach import ApproachCache
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.capsules import capsules_of, placed
 from learn2assemble.robot.grasps import UPRIGHT
-from learn2assemble.robot.holding import LEVEL, MOST_TILT, Way, attitude, tilt_of, ways_to_turn
+from learn2assemble.robot.holding import Way, attitude, tilt_of, ways_to_turn
 from learn2assemble.robot.kinematics import get_chain
+from learn2assemble.robot.tool import LEVEL
 
 BESIDE = 0.32
 """Bases stand no nearer to each other, for what they cover [m]."""
@@ -92,24 +93,27 @@ class TeamReach:
         return self.count - len(set[int]().union(*(reach.out for reach in self.reaches)))
 
 
-def team_reach(arms: Sequence[SiteArm], pieces: Sequence[Piece], studs: bool = False) -> TeamReach:
+def team_reach(
+    arms: Sequence[SiteArm], pieces: Sequence[Piece], studs: bool = False, level: bool = False
+) -> TeamReach:
     """What arms reach from their bases, or from opposite sides of the site where these are free.
 
     Args:
         studs: whether blocks have some, on which no cup holds.
+        level: whether they put blocks down with their tools level, see :func:`is_narrow`.
 
     Raises:
         InputError: for blocks that a tool cannot hold, and for bases on one spot.
     """
     for one in arms:
-        check_held(get_arm(one.arm, one.tool or TOOL), pieces, studs)
+        check_held(_with_tool(get_arm(one.arm, one.tool or TOOL), level), pieces, studs)
     if all(one.base is not None for one in arms):
         _check_apart(arms)
-        return _reached(arms, pieces)
+        return _reached(arms, pieces, level)
     key, best = extreme(pieces), None
     fingers = all(get_arm(one.arm, one.tool or TOOL).suction is None for one in arms)
     for base in bases(pieces, FAR if fingers else DISTANCES):
-        found = _reached(_placed(arms, base), pieces, key)
+        found = _reached(_placed(arms, base), pieces, level, key)
         cost = len(found.out), len(key) - (found.both - found.count + len(key))
         if best is None or cost < best[0]:
             best = cost, base
@@ -118,7 +122,11 @@ def team_reach(arms: Sequence[SiteArm], pieces: Sequence[Piece], studs: bool = F
     assert best is not None
     placed = _placed(arms, best[1])
     _check_apart(placed)
-    return _reached(placed, pieces)
+    return _reached(placed, pieces, level)
+
+
+def _with_tool(arm: Arm, level: bool) -> Arm:
+    return replace(arm, most_tilt=LEVEL) if level else arm
 
 
 def _placed(arms: Sequence[SiteArm], base: Base) -> tuple[SiteArm, ...]:
@@ -136,12 +144,15 @@ def _placed(arms: Sequence[SiteArm], base: Base) -> tuple[SiteArm, ...]:
 
 
 def _reached(
-    arms: Sequence[SiteArm], pieces: Sequence[Piece], which: Sequence[int] | None = None
+    arms: Sequence[SiteArm],
+    pieces: Sequence[Piece],
+    level: bool,
+    which: Sequence[int] | None = None,
 ) -> TeamReach:
     found = list[Reach]()
     for one in arms:
         assert one.base is not None
-        arm = place_arm(one.arm, one.tool or TOOL, one.base)
+        arm = _with_tool(place_arm(one.arm, one.tool or TOOL, one.base), level)
         found.append(reach_from(arm, one.base, with_rests(pieces, arm), which))
     return TeamReach(tuple(arms), tuple(found), len(pieces))
 
@@ -167,7 +178,8 @@ def report_team(plan: Plan, arms: Sequence[SiteArm]) -> TeamReach:
     if plan.assembly is None:
         raise InputError("design", plan.reason or "no blocks", "a design that blocks fill")
     bare = _without_props(plan.assembly)
-    return replace(team_reach(arms, pieces_of(bare), bare.holds), assembly=bare)
+    level = is_narrow(find_contacts(bare))
+    return replace(team_reach(arms, pieces_of(bare), bare.holds, level), assembly=bare)
 
 
 def _without_props(assembly: Assembly) -> Assembly:
@@ -201,7 +213,8 @@ def set_up_team(assembly: Assembly, arms: Sequence[SiteArm], site: Site) -> list
     if any(block.support for block in assembly.blocks):
         raise InputError("design", "blocks that stand before the first step", "none, for an arm")
     pieces = pieces_of(assembly)
-    found = team_reach(arms, pieces, assembly.holds)
+    level = len(arms) > 1 and is_narrow(find_contacts(assembly))
+    found = team_reach(arms, pieces, assembly.holds, level)
     if out := found.out:
         names = ", ".join(pieces[k].id for k in out[:3])
         names += f" and {len(out) - 3} more" if out[3:] else ""
@@ -216,12 +229,11 @@ def set_up_team(assembly: Assembly, arms: Sequence[SiteArm], site: Site) -> list
     taken += [outline(o) for o in obstacles]
     members: list[Member] = []
     used: set[str] = set()
-    narrow = len(found.arms) > 1 and between_leaning(find_contacts(assembly)) < NARROW
     for number, one in enumerate(found.arms):
         base = _base_of(one)
         across = np.array(_base_of(found.arms[1 - number])[:2])
-        arm = place_arm(one.arm, one.tool or TOOL, base)
-        mine = with_rests(pieces, arm, own_side(pieces, arm) if narrow else {})
+        arm = _with_tool(place_arm(one.arm, one.tool or TOOL, base), level)
+        mine = with_rests(pieces, arm, own_side(pieces, arm) if level else {})
         given = given_sources(site, mine, order)
         if one.magazines is not None:
             names = {f"{site.source}: magazines[{n}]" for n in one.magazines}
@@ -230,8 +242,7 @@ def set_up_team(assembly: Assembly, arms: Sequence[SiteArm], site: Site) -> list
         else:
             given = [source for source in given if _reaches(arm, source, mine)]
         used |= {source.name for source in given}
-        most = LEVEL if narrow else MOST_TILT
-        job = Job(mine, steps, assembly, arm, (), obstacles, assembly.friction, most_tilt=most)
+        job = Job(mine, steps, assembly, arm, (), obstacles, assembly.friction)
         job = supplied(replace(job, arm=resting(arm, base[3], mine)), given, site, taken, across)
         taken += [source.area.buffer(APART) for source in job.sources if source not in given]
         members.append(Member(one.name, job))
@@ -241,6 +252,12 @@ def set_up_team(assembly: Assembly, arms: Sequence[SiteArm], site: Site) -> list
             what = f"{site.source}: magazines[{n}]"
             raise InputError(what, at, "a place that one of the arms takes from and reaches")
     return members
+
+
+def is_narrow(contacts: Contacts) -> bool:
+    """Whether two hands have no room side by side above two blocks, so that each arm holds by the
+    face on its own side, with its tool level."""
+    return between_leaning(contacts) < NARROW
 
 
 def between_leaning(contacts: Contacts) -> float:
@@ -265,6 +282,7 @@ def own_side(pieces: Sequence[Piece], arm: Arm) -> dict[str, np.ndarray]:
 
     Args:
         pieces: of a structure whose joints lean, so hands have to hold.
+        arm: with a tool that may be level.
 
     Returns:
         float64[3, 3] by name; without those for which the tool has no room above the ground.
@@ -275,7 +293,7 @@ def own_side(pieces: Sequence[Piece], arm: Arm) -> dict[str, np.ndarray]:
         ahead /= max(float(np.linalg.norm(ahead)), 1e-9)
         goals, best = [piece.turn @ turn for turn in piece.turns()], AHEAD
         for rest in ways_to_rest(piece):
-            for way in ways_to_turn(arm, piece.shape, rest, goals, LEVEL):
+            for way in ways_to_turn(arm, piece.shape, rest, goals):
                 towards = float(way.place[:, 2] @ ahead)
                 if towards < best + 1e-6 or tilt_of(way.grasp) > UPRIGHT or way.aside:
                     continue
@@ -353,7 +371,9 @@ def plan_by_team(
 
 def told_of(members: Sequence[Member]) -> tuple[BuilderArm, ...]:
     """What a plan tells of the arms that build."""
-    reached = team_reach([_site_arm(member) for member in members], members[0].job.pieces)
+    level = members[0].job.arm.most_tilt == LEVEL
+    arms = [_site_arm(member) for member in members]
+    reached = team_reach(arms, members[0].job.pieces, level=level)
     return tuple(
         BuilderArm(a.name, a.arm, a.tool or TOOL, _base_of(a), reached.count - len(reach.out))
         for a, reach in zip(reached.arms, reached.reaches, strict=True)

@@ -23,7 +23,6 @@ from learn2assemble.cell.site import Obstacle, Site, Source
 from learn2assemble.errors import InputError
 from learn2assemble.motion.setup import Disturbance, Noise, Simulated
 from learn2assemble.robot.arm import Arm, get_arm
-from learn2assemble.robot.holding import MOST_TILT
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly
@@ -109,9 +108,6 @@ class Job:
     """Width of a vertical joint [m]."""
     hands: bool = False
     """Props that the arm cannot place or take away are placed and taken away by hand."""
-    most_tilt: float = MOST_TILT
-    """Of the tool at one end of a way [rad], see
-    :func:`~learn2assemble.robot.holding.ways_to_turn`."""
 
     @property
     def base(self) -> np.ndarray:

@@ -297,7 +297,7 @@ def moves(
     goals = [wanted @ turn for turn in piece.turns()]
     if not alone:
         goals = [goal for goal in goals if np.trace(now.T @ goal) > 1 + 2 * math.cos(FLAT)]
-    ways = ways_to_turn(arm, piece.shape, now, goals, world.job.most_tilt)
+    ways = ways_to_turn(arm, piece.shape, now, goals)
     if press is not None:
         at = {id(way): goal[:2] + (way.goal @ np.array(way.hold.point))[:2] for way in ways}
         ways.sort(key=lambda way: round(math.dist(at[id(way)], press), 3))

@@ -19,6 +19,7 @@ from learn2assemble.robot import scene as _  # noqa: F401 (the warnings of MuJoC
 from learn2assemble.robot.registry import ARMS, TOOLS
 from learn2assemble.robot.tool import (
     COLLISION_GROUP,
+    MOST_TILT,
     PICTURE_GROUP,
     Gripper,
     Suction,
@@ -136,6 +137,9 @@ class Arm:
     """The tool in place of the fingers; ``gripper`` then has none, and no opening."""
     payload: float = np.inf
     """Largest mass that it may carry, a tool in place of the fingers included [kg]."""
+    most_tilt: float = MOST_TILT
+    """Of the axis of its tool from the vertical at one end of a way [rad]; at the other one
+    :data:`MOST_TILT`."""
 
     @property
     def bounds(self) -> Limits:

@@ -18,6 +18,7 @@ import numpy as np
 
 from learn2assemble.robot.bodies import Shape, body_of
 from learn2assemble.robot.grasps import FIRST, UPRIGHT, Attitude, Lip, facing
+from learn2assemble.robot.tool import MOST_TILT
 
 if TYPE_CHECKING:
     from learn2assemble.robot.arm import Arm
@@ -44,10 +45,6 @@ HEADROOM = 0.005
 """A tool that comes from the side stays so far above what a block stands on [m]."""
 CAPTURE = 0.0005
 """The lip of a cup at a side keeps this distance from the edges of a face [m]."""
-MOST_TILT, LEVEL = math.radians(70.0), math.radians(95.0)
-"""The axis of a tool is not tilted more than this from the vertical, ..., or than that at one end
-of a way where two arms build what leans: a block that lies on a face is put down by the other one,
-the tool level [rad]."""
 _PARALLEL = math.radians(0.5)
 """Faces on which fingers close are off being parallel by less [rad]."""
 _OUT = 1e-4
@@ -405,7 +402,6 @@ def ways_to_turn(
     shape: Shape,
     now: np.ndarray,
     goals: Sequence[np.ndarray],
-    most: float = MOST_TILT,
 ) -> list[Way]:
     """The holds with which a block can be turned from one rotation to another, the best ones
     first: those with the least tilt of the tool, on the highest part, near the centre of mass.
@@ -415,19 +411,18 @@ def ways_to_turn(
         shape: of the block.
         now: float64[3, 3]: rotation of the block as it lies.
         goals: rotations float64[3, 3] it shall have, any of them.
-        most: tilt of the tool at one end of the way, at the other one :data:`MOST_TILT` [rad].
     """
     found: list[tuple[tuple[float, ...], Way]] = []
     tops = [float((part.points @ now[2]).max()) for part in shape]
     for hold in holds_of(arm, shape, now[2]):
         grasp = hold.tool(now)
-        if tilt_of(grasp) > most:
+        if tilt_of(grasp) > arm.most_tilt:
             continue
         for goal in goals:
             place = goal @ now.T @ grasp
             way = Way(hold, grasp, place, goal)
             less, more = sorted((tilt_of(grasp), tilt_of(place)))
-            if less > MOST_TILT or more > most:
+            if less > MOST_TILT or more > arm.most_tilt:
                 continue
             cost = (
                 float(way.aside),
