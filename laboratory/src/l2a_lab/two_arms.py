@@ -61,9 +61,9 @@ ASKED = 0.62
 """Of the time of one arm, for the eight."""
 LONGEST = 60.0
 """That planning may take [s]."""
-HELD = {"arch of 9": (9, 0.3, 0.08), "arch of 21": (21, 0.5, 0.14)}
+HELD = {"arch of 9": (9, 0.3, 0.08, None), "arch of 21": (21, 0.5, 0.14, 400.0)}
 """What is built with one arm holding while the other one brings the next block: voussoirs, radius
-and thickness [m], ..."""
+and thickness [m], density where it is not the usual one [kg/m^3], ..."""
 WIDE = "suction-wide"
 """... with which tool of both: the cup of 30 mm slips under what an arch thrusts, and its blocks
 end so far from their places that the last one does not go in."""
@@ -148,9 +148,12 @@ def _holding(what: str, radius: float, workcell: Workcell, started: float) -> Re
 @lru_cache(maxsize=1)
 def _planned(what: str, radius: float) -> tuple[Plan, list[Member]]:
     """An arch that is planned with both arms, and these."""
-    count, own, thickness = HELD[what]
+    count, own, thickness, density = HELD[what]
     made = runpy.run_path(str(STRUCTURES / "arch.py"))["arch"]
     arch = made(count, radius=own + radius, thickness=thickness)
+    if density is not None:
+        blocks = tuple(replace(block, density=density) for block in arch.blocks)
+        arch = replace(arch, blocks=blocks)
     members = set_up_team(arch, [SiteArm(arm, arm, WIDE) for arm in ARMS], Site())
     # The clock is not to decide: seconds of planning are told, not limited.
     options = {"friction": None, "gap": None, "seconds": 10 * LONGEST}

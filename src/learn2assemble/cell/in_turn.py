@@ -22,6 +22,7 @@ from learn2assemble.assembly.hands import Hand
 from learn2assemble.cell.arrange import Arranged, Structure
 from learn2assemble.cell.building import Building, Prepared
 from learn2assemble.cell.crew import FINE, ArmCrew, Member, Reached
+from learn2assemble.cell.fitting import neighbours
 from learn2assemble.cell.pair import Pair, jobs_of, workcell_of
 from learn2assemble.cell.reach import cells_of
 from learn2assemble.cell.state import Action
@@ -43,6 +44,7 @@ from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import Move
+from learn2assemble.robot.tool import LEVEL
 from learn2assemble.simulation.execution import Execution
 from learn2assemble.statics.states import State
 
@@ -58,6 +60,11 @@ NEAR_BY = 0.02
 PRESSES = 0.01
 """It is told to be no farther from there than this [rad], whatever is in its way: no drive of our
 arms turns with more than 45 N m for that."""
+CLAMPS, CLAMPING = 1e-3, 20
+"""Where tools are level, an arm that takes over holds its block as if its place were so much nearer
+to what stands beside it [m], so often before the other arm lets go: near the top of an arch joints
+are upright, and a block that nothing presses on from both sides slides down between its
+neighbours until they do."""
 KEPT = Guard(hold="kept")
 MOVED = 5e-5
 """A block that the hand which holds it has moved farther is told to be elsewhere [m]."""
@@ -313,10 +320,14 @@ class InTurn(Together[Cell]):
             self.holds[who] = k
             self.traffic.holds(who, run.joints)
             self._tell(who, {k})
-            self.now += 2
             joints = building.plant.sense().joints
-            off = world.drawn(k)[:3] - world.pose[k, :3]
-            there = moved_by(building.job.arm, joints, off)
+            arm, off = building.job.arm, world.drawn(k)[:3] - world.pose[k, :3]
+            clamps = arm.most_tilt == LEVEL
+            there = moved_by(arm, joints, off + clamps * CLAMPS * self._against(who, k))
+            for _ in range(clamps * CLAMPING):
+                self.plant.loosen()
+                keep(run, there)
+            self.now += 2
             while (self.steps[self.now].action, self.steps[self.now].block) != ("release", k):
                 if self.over is not None:
                     sight.let_go()  # It stands in its place, whoever takes it over.
@@ -332,6 +343,14 @@ class InTurn(Together[Cell]):
             building.attempts.leave_anew(run, rows_of(world, world.pose, k))
 
         return holds
+
+    def _against(self, who: int, k: int) -> np.ndarray:
+        """float64[3]: unit vector towards what stands beside a block, as drawn; zeros without."""
+        world, way = self.buildings[who].world, np.zeros(3)
+        for near, *others in neighbours(world.job.pieces, k):
+            if not others and world.state[near.other] == STANDING:
+                way += near.way
+        return way / max(float(np.linalg.norm(way)), 1e-9)
 
 
 def moved_by(arm: Arm, joints: np.ndarray, off: np.ndarray) -> np.ndarray:
