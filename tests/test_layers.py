@@ -294,6 +294,30 @@ def declared() -> set[str]:
     return {re.split(r"[^\w-]", line)[0] for group in groups for line in group} - {PACKAGE}
 
 
+def test_every_extra_that_an_error_names_is_declared() -> None:
+    """``extra(module, name, package)`` and errors raised by hand name a package and one of its
+    extras; ``./laboratory`` is a package of the checkout."""
+    named = set[tuple[str, str]]()
+    for file in [*SOURCE.rglob("*.py"), *(ROOT / "laboratory" / "src").rglob("*.py")]:
+        for call in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            name = getattr(call.func, "id", "") if isinstance(call, ast.Call) else ""
+            if not isinstance(call, ast.Call) or name not in {"extra", "MissingExtraError"}:
+                continue
+            words = [a.value for a in call.args if isinstance(a, ast.Constant)]
+            if len(words) > 1:
+                named.add((words[2] if words[2:] else PACKAGE, str(words[1])))
+    assert len(named) > 8
+    folders = {PACKAGE: ROOT, "./laboratory": ROOT / "laboratory"}
+    extras = {
+        (package, one)
+        for package, folder in folders.items()
+        for one in tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))[
+            "project"
+        ]["optional-dependencies"]
+    }
+    assert named <= extras
+
+
 SCRIPT = """
 import sys
 for name in sys.argv[1].split():

@@ -577,15 +577,18 @@ def test_marks() -> None:
 def test_ours_stands_against_the_published_rows_with_or_without_a_search() -> None:
     table = get_table("T4")
     column, condition = table.columns[0], table.conditions[0]
-    numbers = {
-        "DQN, paper's schedule": None,
-        "DQN+MCTS, budget 10, paper's schedule": None,
-        "DQN, our schedule": None,
-        "DQN+MCTS, budget 10, our schedule": None,
-        "ours, no search": summary(3.3, 0.12),
-        "ours, budget 10": summary(3.3, 0.3),
-        "exact look-ahead": summary(3.0, 0.13),
-    }
+    numbers = [
+        ("DQN, paper's schedule", None),
+        ("DQN+MCTS, budget 10, paper's schedule", None),
+        ("DQN, our schedule", None),
+        ("DQN+MCTS, budget 10, our schedule", None),
+        ("ours, no search", summary(3.3, 0.12)),
+        ("ours, budget 10", summary(3.3, 0.3)),
+        ("exact look-ahead", summary(3.0, 0.13)),
+        # With other help, these do not stand against what was published.
+        ("ours, no search", summary(9.0, 0.1)),
+        ("ours, budget 10", summary(9.0, 0.1)),
+    ]
     entries = tuple(
         (
             TableEntry(
@@ -596,9 +599,9 @@ def test_ours_stands_against_the_published_rows_with_or_without_a_search() -> No
                 {condition: number} if number else {},
             ),
         )
-        for row, number in zip(table.rows, numbers.values(), strict=True)
+        for row, (_, number) in zip(table.rows, numbers, strict=True)
     )
-    assert [row.label for row in table.rows] == list(numbers)
+    assert [row.label for row in table.rows] == [label for label, _ in numbers]
     (sentence,) = against_paper(TableData(table, entries, (1, 1), False, ()), condition)
     # 3.3 - 0.1 > 3 + 0.1; 0.12 < 0.2 - 1.96 * sqrt(0.2 * 0.8 / 500 + 0.12 * 0.88 / 100), not 0.3.
     task = "robot-two-sided-3x3-10-14"

@@ -180,21 +180,25 @@ _SIMPLE: dict[str, tuple[Callable[[object], bool], str]] = {
 
 
 class MissingExtraError(Learn2AssembleError, ImportError):
-    """An optional dependency is not installed; the message names the extra that brings it."""
+    """An optional dependency is not installed; the message names the extra that brings it, and
+    ``package``, of which it is one."""
 
-    def __init__(self, module: str, extra: str, without: str = "") -> None:
+    def __init__(
+        self, module: str, extra: str, without: str = "", package: str = "learn2assemble"
+    ) -> None:
         self.module = module
         self.extra = extra
         self.without = without
+        self.package = package
         are, them = ("are", "them") if " and " in module else ("is", "it")
         otherwise = f", or do without: {without}" if without else ""
         super().__init__(
             f"{module} {are} not installed; install {them} with: "
-            f"pip install 'learn2assemble[{extra}]'{otherwise}"
+            f"pip install '{package}[{extra}]'{otherwise}"
         )
 
-    def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str, str]]:
-        return MissingExtraError, (self.module, self.extra, self.without)
+    def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str, str, str]]:
+        return MissingExtraError, (self.module, self.extra, self.without, self.package)
 
 
 def require(*needs: tuple[str, str, str]) -> None:
@@ -217,8 +221,8 @@ def require(*needs: tuple[str, str, str]) -> None:
 
 
 @contextmanager
-def extra(module: str, name: str) -> Generator[None, None, None]:
-    """Imports that need the optional dependency ``name``.
+def extra(module: str, name: str, package: str = "learn2assemble") -> Generator[None, None, None]:
+    """Imports that need the optional dependency ``name`` of a package.
 
     Raises:
         MissingExtraError: where one of them fails.
@@ -226,7 +230,7 @@ def extra(module: str, name: str) -> Generator[None, None, None]:
     try:
         yield
     except ImportError as error:
-        raise MissingExtraError(module, name) from error
+        raise MissingExtraError(module, name, package=package) from error
 
 
 @contextmanager

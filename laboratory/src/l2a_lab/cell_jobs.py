@@ -9,7 +9,7 @@ from typing import Any
 
 from l2a_lab.bounds import has_bound
 from l2a_lab.cells import BOUND, Cell, agent_hash, is_current, measure, write_result
-from l2a_lab.table import Row, Table
+from l2a_lab.table import OWN, Row, Table
 from learn2assemble.tasks.evaluation.episodes import (
     BATCH,
 )
@@ -17,7 +17,11 @@ from learn2assemble.tasks.networks.agent import one_thread
 from learn2assemble.workers import run_all
 
 EPISODES = {"kinematic": 200, "dynamic": 100, "published": 100}
-"""Problems of a cell by its placement checker ..."""
+"""Problems of a cell by its placement checker, ..."""
+
+
+OWN_EPISODES = {"kinematic": 500, "dynamic": 200, "published": 200}
+"""... those of several agents of ours, ..."""
 
 
 MANY_EPISODES = 1000
@@ -122,7 +126,9 @@ def jobs(
         for column in range(len(table.columns)):
             for cell in row_cells(table, row, column, names):
                 cells[cell.path] = cell
-                problems = episodes or EPISODES.get(cell.physics, MANY_EPISODES)
+                several = row.kind == OWN and number > 1
+                usual = OWN_EPISODES if several else EPISODES
+                problems = episodes or usual.get(cell.physics, MANY_EPISODES)
                 count[cell.path] = share_size(problems, number)
     for path, cell in list(cells.items()):
         if has_bound(cell.task):

@@ -45,6 +45,7 @@ class Recipe:
 
 _CUBES, _LARGE = "two-sided-3x3-20-24", "two-sided-5x5-40-44"
 _ROBOT_TWO, _ROBOT_FOUR = "robot-two-sided-3x3-10-14", "robot-four-sided-3x3-10-18"
+_ROBOT_ANYWHERE = "robot-random-two-sided-3x3-10-14"
 _ROBOT_OBJECTS = "robot-objects-two-sided-5x5-20-24"
 _ROBOT_ONE = "robot-one-sided-5x5-15-17"
 _WALLS = "robot-walls-two-sided-5x5-26-30"
@@ -104,9 +105,15 @@ _ALL = (
     Recipe("relational-bars", _BARS, (RecipeStage("relational", (_SHORT,)),)),
     Recipe("relational-objects", _OBJECTS, (RecipeStage("relational-objects"),)),
     Recipe("relational-two-sided", _ROBOT_TWO, (RecipeStage("relational", (_SHORT, _NO_HAND)),)),
+    Recipe(
+        "relational-anywhere", _ROBOT_ANYWHERE, (RecipeStage("relational", (_SHORT, _NO_HAND)),)
+    ),
     Recipe("relational-four-sided", _ROBOT_FOUR, (RecipeStage("relational"),)),
+    Recipe("relational-one-sided", _ROBOT_ONE, (RecipeStage("relational"),), seeds=3),
     Recipe("relational-walls", _WALLS, (RecipeStage("relational", (_SHORT,)),)),
-    Recipe("relational-robot-objects", _ROBOT_OBJECTS, (RecipeStage("relational-objects"),)),
+    Recipe(
+        "relational-robot-objects", _ROBOT_OBJECTS, (RecipeStage("relational-objects"),), seeds=3
+    ),
 )
 
 RECIPES: dict[str, Recipe] = {recipe.name: recipe for recipe in _ALL}

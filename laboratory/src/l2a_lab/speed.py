@@ -58,7 +58,7 @@ def _packing(worlds: int) -> Callable[[float], float]:
     def measured(seconds: float) -> float:
         flags = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
         os.environ.setdefault("XLA_FLAGS", flags)
-        with extra("jumanji", "speed"):
+        with extra("jumanji", "speed", "./laboratory"):
             jumanji: Any = importlib.import_module("jumanji")
             wrappers: Any = importlib.import_module("jumanji.wrappers")
             jax: Any = importlib.import_module("jax")

@@ -24,9 +24,13 @@ MODEL_LABELS, KNOWS, HELPED = "model labels", "knows outcomes", "helped by look-
 DESIGNS = "knows outcomes, trained on designs"
 
 
+ANYWHERE = f"{MODEL_LABELS}, trained with blocks anywhere"
+
+
 HELPS = {
     MODEL_LABELS: "trained with rewards the one-step model gives for placements that were not "
     "made (deviation D6); plays without any mask.",
+    ANYWHERE: "trained as ours, with blocks that wait anywhere in place of rows.",
     HELPED: "trained with model labels; where the placement it chose would bring nothing, which "
     "the exact model tells, the exact look-ahead chooses another.",
     DESIGNS: "the exact model tells it what every placement pays and which are valid; among "

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from l2a_lab.table import (
+    ANYWHERE,
     DESIGNS,
     FARTHER,
     HELPED,
@@ -191,13 +192,22 @@ FIDELITIES = (
     Condition(0.05, "published"),
     Condition(0.05, "kinematic"),
     Condition(0.05, "dynamic"),
+    Condition(0.0, "kinematic"),
     Condition(0.0, "dynamic"),
 )
 """The authors' fast mode, and our two: a cell that looks at collisions of every link, and one that
 simulates arm, grasp and blocks."""
 _NO_ROBOT = {"source_table": "main_T5", "experiment": "multi_object_no_robot"}
 _ROBOT_OBJECTS = {"source_table": "main_T5", "experiment": "multi_object_robot"}
-_TWO_ROWS = _robot_rows("robot-two-sided", "relational-two-sided", "robot-two-sided-paper")
+_TWO_OWN = "relational-two-sided"
+_ANYWHERE_ROWS = tuple(
+    _ours(label, "relational-anywhere", search, help=ANYWHERE)
+    for label, search in (("ours, no search", ""), ("ours, budget 10", "dqn-mcts"))
+)
+_TWO_ROWS = (
+    *_robot_rows("robot-two-sided", _TWO_OWN, "robot-two-sided-paper"),
+    *_ANYWHERE_ROWS,
+)
 
 
 def _object_rows() -> tuple[Row, ...]:
@@ -367,7 +377,11 @@ _ALL = (
         _TWO_ROWS,
         {"source_table": "main_T4", "experiment": "robot_2_sided_random_layout"},
         FIDELITIES,
-        notes=(*_SEARCHES, *_SCHEDULES, "The agents were trained with blocks waiting in rows."),
+        notes=(
+            *_SEARCHES,
+            *_SCHEDULES,
+            "The agents were trained with blocks waiting in rows, but where the row says anywhere.",
+        ),
     ),
     Table(
         "transfer",
@@ -377,9 +391,7 @@ _ALL = (
             for task in (_TRANSFER, "robot-two-sided-5x5-14-18")
             for arm in ("", "ur5e")
         ),
-        tuple(
-            replace(row, paper={}) for row in _robot_rows("robot-two-sided", "relational-two-sided")
-        ),
+        tuple(replace(row, paper={}) for row in _robot_rows("robot-two-sided", f"{_TWO_OWN}-s0")),
         conditions=FIDELITIES[1:],
         notes=(
             *_SEARCHES,
@@ -403,6 +415,7 @@ _ALL = (
                 "one-sided",
                 paper={"method": "DQN trained without robot"},
             ),
+            *_own("relational-one-sided")[:2],
             _LOOK_AHEAD,
         ),
         {"source_table": "app_T5"},
