@@ -11,6 +11,7 @@ from __future__ import annotations
 import runpy
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
