@@ -39,12 +39,11 @@ from learn2assemble.motion.setup import Setup
 from learn2assemble.planning.plan import Plan, Step
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.capsules import capsules_of, placed
-from learn2assemble.robot.grasps import Attitude
+from learn2assemble.robot.grasps import LEVEL, Attitude
 from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import Move
-from learn2assemble.robot.tool import LEVEL
 from learn2assemble.simulation.execution import Execution
 from learn2assemble.statics.states import State
 

@@ -45,10 +45,9 @@ from learn2assemble.planning.sequence import Supports
 from learn2assemble.robot.approach import ApproachCache
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.capsules import capsules_of, placed
-from learn2assemble.robot.grasps import UPRIGHT
+from learn2assemble.robot.grasps import LEVEL, UPRIGHT
 from learn2assemble.robot.holding import Way, attitude, tilt_of, ways_to_turn
 from learn2assemble.robot.kinematics import get_chain
-from learn2assemble.robot.tool import LEVEL
 
 BESIDE = 0.32
 """Bases stand no nearer to each other, for what they cover [m]."""

@@ -16,10 +16,10 @@ import numpy as np
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.robot import scene as _  # noqa: F401 (the warnings of MuJoCo)
+from learn2assemble.robot.grasps import MOST_TILT
 from learn2assemble.robot.registry import ARMS, TOOLS
 from learn2assemble.robot.tool import (
     COLLISION_GROUP,
-    MOST_TILT,
     PICTURE_GROUP,
     Gripper,
     Suction,

@@ -122,6 +122,10 @@ class Attitude(NamedTuple):
 
 UPRIGHT = math.radians(1.0)
 """A tool that is tilted less points straight down [rad]."""
+MOST_TILT, LEVEL = math.radians(70.0), math.radians(95.0)
+"""The axis of a tool is not tilted more than this from the vertical, ..., or than that at one end
+of a way where two arms build what leans: a block that lies on a face is put down by the other one,
+the tool level [rad]."""
 
 
 def facing(tool: np.ndarray) -> Attitude:

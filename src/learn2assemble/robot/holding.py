@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 
 from learn2assemble.robot.bodies import Shape, body_of
-from learn2assemble.robot.grasps import FIRST, UPRIGHT, Attitude, Lip, facing
-from learn2assemble.robot.tool import MOST_TILT
+from learn2assemble.robot.grasps import FIRST, MOST_TILT, UPRIGHT, Attitude, Lip, facing
 
 if TYPE_CHECKING:
     from learn2assemble.robot.arm import Arm

@@ -30,10 +30,6 @@ from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.robot.grasps import FIRST, Lip
 
-MOST_TILT, LEVEL = math.radians(70.0), math.radians(95.0)
-"""The axis of a tool is not tilted more than this from the vertical, ..., or than that at one end
-of a way where two arms build what leans: a block that lies on a face is put down by the other one,
-the tool level [rad]."""
 PICTURE_GROUP, COLLISION_GROUP = 2, 3
 """Geom groups of every vendored arm."""
 ATMOSPHERE = 101_325.0
