@@ -269,11 +269,24 @@ def _scores() -> dict[str, list[float]]:
     return found
 
 
+def board() -> Figure:
+    """The board as bars: ``docs/images/benchmark.svg``, which the first page shows."""
+    figure, axes = _chart(6.4, 4.4)
+    _bars(axes)
+    return figure
+
+
 def scores() -> Figure:
     """The board as bars, and how the baseline that trains on the spot learns."""
-    found = _scores()
     figure, axes = _chart(9, 7.0, 2)
+    _bars(axes)
     _curves(figure.axes[1])
+    return figure
+
+
+def _bars(axes: Axes) -> None:
+    """A bar for every entry and kind of task."""
+    found = _scores()
     for k, (name, _, tone) in enumerate(SUITE):
         values = [one[k] for one in found.values()]
         axes.barh(np.arange(len(values)) + 0.2 * (1.5 - k), values, 0.19, color=tone, label=name)
@@ -281,7 +294,6 @@ def scores() -> Figure:
     axes.set_xlim(-0.1, 1.05)
     axes.set_xlabel("share of the bound", color=SOFT)
     axes.legend(frameon=False, labelcolor=INK, loc="upper right", bbox_to_anchor=(1.0, 1.1), ncol=4)
-    return figure
 
 
 def _curves(axes: Axes) -> None:
@@ -376,7 +388,7 @@ def learning() -> Figure:
 DRAWINGS: dict[str, Draw] = {
     draw.__name__: draw
     for draw in (flow, rooms, proof, sides, attempt, speeds, layout, camera, wall, scores, tables)
-} | {draw.__name__: draw for draw in (graph, tree, learning)}
+} | {draw.__name__: draw for draw in (graph, tree, learning, board)}
 PAGES = {
     "architecture.md": ("rooms", "The rooms of the code; imports point down"),
     "arms.md": ("gallery/panda", "What a Panda has built"),
@@ -426,7 +438,7 @@ def on_files(files: Any, config: Any) -> Any:
     """Hook of mkdocs: the drawings are files of the site (those of the gallery are there)."""
     from mkdocs.structure.files import File
 
-    for name in DRAWINGS:
+    for name in {one for one, _ in PAGES.values()} & set(DRAWINGS):
         files.append(File.generated(config, f"drawings/{name}.svg", content=svg(name)))
     return files
 
