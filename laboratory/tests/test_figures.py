@@ -310,7 +310,7 @@ def test_figures_of_the_first_page_are_those_of_the_tables() -> None:
         ),
     )
     arm = [
-        [found(*place, f"{m}, paper's schedule", "kinematic") for place in (rows, anywhere)]
+        [found(*place, f"{m}, paper's schedule", "published") for place in (rows, anywhere)]
         for m in (search, "DQN")
     ]
     there, here = (
