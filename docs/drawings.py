@@ -11,6 +11,7 @@ import csv
 import gzip
 import io
 import json
+import re
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -30,6 +31,13 @@ INK, SOFT, LINE, FILL, ACCENT, WARM = (
 )
 mpl.rcParams |= {"svg.hashsalt": "learn2assemble", "svg.fonttype": "none", "font.size": 10}
 Draw = Callable[[], Figure]
+SUITE = (
+    ("two elevations", r"two-sided-", ACCENT),
+    ("with a robot", r"robot-", INK),
+    ("tight heaps", r"designs-.*-heap-", WARM),
+    ("hidden errors", r"hidden-", LINE),
+)
+"""Tasks of the benchmark that are drawn: name, how their names begin, colour."""
 
 
 def _panel(width: float = 8.0, height: float = 2.6) -> tuple[Figure, Axes]:
@@ -250,31 +258,42 @@ def wall() -> Figure:
 
 
 def _scores() -> dict[str, list[float]]:
-    """Mean score of every entry of the benchmark on its tight heaps and on two elevations."""
+    """Mean score of every entry of the benchmark on each of :data:`SUITE`."""
     found: dict[str, list[float]] = {}
     for file in sorted((ROOT / "results" / "benchmark").glob("*.jsonl.gz")):
         head, *lines = map(json.loads, gzip.decompress(file.read_bytes()).splitlines())
-        groups = ("two-sided", "heap")
-        scores = [[one["score"] for one in lines if word in one["task"]] for word in groups]
+        scores = [
+            [one["score"] for one in lines if re.match(form, one["task"])] for _, form, _ in SUITE
+        ]
         found[head["entry"]] = [float(np.mean(s)) if s else np.nan for s in scores]
     return found
 
 
+def board() -> Figure:
+    """The board as bars: ``docs/images/benchmark.svg``, which the first page shows."""
+    figure, axes = _chart(6.4, 4.4)
+    _bars(axes)
+    return figure
+
+
 def scores() -> Figure:
     """The board as bars, and how the baseline that trains on the spot learns."""
-    found = _scores()
-    figure, axes = _chart(9, 5.6, 2)
+    figure, axes = _chart(9, 7.0, 2)
+    _bars(axes)
     _curves(figure.axes[1])
-    for k, (name, tone) in enumerate((("two elevations", ACCENT), ("tight heaps", WARM))):
+    return figure
+
+
+def _bars(axes: Axes) -> None:
+    """A bar for every entry and kind of task."""
+    found = _scores()
+    for k, (name, _, tone) in enumerate(SUITE):
         values = [one[k] for one in found.values()]
-        axes.barh(np.arange(len(values)) + 0.2 - 0.4 * k, values, 0.36, color=tone, label=name)
+        axes.barh(np.arange(len(values)) + 0.2 * (1.5 - k), values, 0.19, color=tone, label=name)
     axes.set_yticks(range(len(found)), list(found))
     axes.set_xlim(-0.1, 1.05)
     axes.set_xlabel("share of the bound", color=SOFT)
-    axes.legend(
-        frameon=False, labelcolor=INK, loc="upper right", bbox_to_anchor=(1.0, 1.12), ncol=2
-    )
-    return figure
+    axes.legend(frameon=False, labelcolor=INK, loc="upper right", bbox_to_anchor=(1.0, 1.1), ncol=4)
 
 
 def _curves(axes: Axes) -> None:
@@ -369,13 +388,14 @@ def learning() -> Figure:
 DRAWINGS: dict[str, Draw] = {
     draw.__name__: draw
     for draw in (flow, rooms, proof, sides, attempt, speeds, layout, camera, wall, scores, tables)
-} | {draw.__name__: draw for draw in (graph, tree, learning)}
+} | {draw.__name__: draw for draw in (graph, tree, learning, board)}
 PAGES = {
     "architecture.md": ("rooms", "The rooms of the code; imports point down"),
     "arms.md": ("gallery/panda", "What a Panda has built"),
     "benchmark.md": (
         "scores",
-        "Share of the bound on two elevations and on tight heaps, by entry; returns of MaskablePPO",
+        "Share of the bound by entry: two elevations, the same with a robot, tight heaps, hidden "
+        "errors; returns of MaskablePPO",
     ),
     "bricks.md": ("gallery/lego_dome", "A hollow dome of LEGO"),
     "building.md": ("gallery/house", "A gabled house of bricks and lintels"),
@@ -418,7 +438,7 @@ def on_files(files: Any, config: Any) -> Any:
     """Hook of mkdocs: the drawings are files of the site (those of the gallery are there)."""
     from mkdocs.structure.files import File
 
-    for name in DRAWINGS:
+    for name in {one for one, _ in PAGES.values()} & set(DRAWINGS):
         files.append(File.generated(config, f"drawings/{name}.svg", content=svg(name)))
     return files
 
@@ -430,10 +450,11 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
         return markdown
     name, words = PAGES[place]
     file = f"{name}.png" if name.startswith("gallery/") else f"drawings/{name}.svg"
-    title, rest = (
-        markdown.lstrip().split("\n", 1) if markdown.lstrip()[:2] == "# " else ("", markdown)
+    # What comes before the title is the style of a page that was made.
+    before, title, rest = re.split(r"^(# .*)$", markdown, maxsplit=1, flags=re.MULTILINE)
+    return (
+        f"{before}{title}\n\n![{words}]({'../' * place.count('/')}{file}){{ width=560 }}\n\n{rest}"
     )
-    return f"{title}\n\n![{words}]({'../' * place.count('/')}{file}){{ width=560 }}\n\n{rest}"
 
 
 if __name__ == "__main__":

@@ -18,6 +18,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 ROOT = Path(__file__).resolve().parents[1]
 LIST = ROOT / "docs" / "gallery.toml"
 FOLDER = ROOT / "out" / "gallery"
@@ -74,11 +76,20 @@ def entries() -> list[Entry]:
     return [Entry(**one) for one in tomllib.loads(LIST.read_text(encoding="utf-8"))["build"]]
 
 
+def is_empty(picture: Path) -> bool:
+    """Whether a picture has no more than a floor, its shadows and a title."""
+    from PIL import Image
+
+    with Image.open(picture) as image:
+        colourful = np.ptp(np.asarray(image.convert("RGB"), int), axis=-1) > 40
+    return bool(colourful.mean() < 0.01)
+
+
 def make(entry: Entry) -> dict[str, Any]:
     """Carry the command out, and draw what it built.
 
     Raises:
-        RuntimeError: where the command fails or builds nothing.
+        RuntimeError: where the command fails or builds nothing, or the picture shows nothing.
     """
     import shutil
 
@@ -101,6 +112,8 @@ def make(entry: Entry) -> dict[str, Any]:
         raise RuntimeError(f"gallery, {entry.name}: {entry.command}\n{done.stderr[-2000:]}")
     plan = l2a.load_plan(entry.folder)
     write_progress(plan, entry.picture, moments=1)
+    if is_empty(entry.picture):
+        raise RuntimeError(f"gallery, {entry.name}: the picture shows nothing")
     blocks = 0 if plan.assembly is None else len(plan.assembly.blocks)
     arm = plan.record.arm.name if plan.record is not None else ""
     facts = {"command": entry.command, "seconds": seconds, "blocks": blocks, "arm": arm}
@@ -122,7 +135,8 @@ def page(facts: dict[str, dict[str, Any]]) -> str:
         "",
         "Every picture was made by the command under it when these documents were built; seconds "
         "include the start of the program, the proof and the pages, on the machine that built "
-        "them, two builds at a time.",
+        "them, two builds at a time; where something had to be compiled first, as after a new "
+        "installation, that is in them too.",
     ]
     for one in entries():
         told = facts[one.name]

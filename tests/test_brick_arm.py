@@ -21,6 +21,7 @@ from learn2assemble.motion.files import read_record, write_record
 from learn2assemble.motion.program import PRESS_SHARE
 from learn2assemble.motion.record import find_fault
 from learn2assemble.planning.plan import Plan
+from learn2assemble.progress import Detail
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.grasps import Attitude
@@ -53,7 +54,12 @@ WALL = duplo(
 
 
 def test_what_tips_when_it_is_pressed_is_built_beside() -> None:
-    plan = l2a.build(STAIR, arm="panda", physics="kinematic")
+    told: list[str] = []
+    plan = l2a.build(STAIR, arm="panda", physics="kinematic", progress=told.append)
+    # A line of its own for each block would fill a terminal.
+    orders = [line for line in told if line.startswith("an order the arm can reach: ")]
+    assert orders
+    assert all(isinstance(line, Detail) for line in orders)
     assert plan.complete
     assert plan.arm is not None
     assert plan.arm.tool == "gripper"

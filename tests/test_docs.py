@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import re
 import runpy
 import shlex
 import sys
 import tomllib
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from headless import ROOT, run_script
 from l2a_lab.__main__ import command_line
@@ -170,13 +173,19 @@ def test_files_named_in_the_architecture_exist() -> None:
         assert f"`{room}/`" in text, room
 
 
-def test_every_page_has_its_picture() -> None:
-    """The hook of the site that puts them there knows every page, and every drawing it names."""
-    spec = importlib.util.spec_from_file_location("drawings", ROOT / "docs" / "drawings.py")
+def hook(name: str) -> ModuleType:
+    """A file of the site that mkdocs loads."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
-    drawings = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(drawings)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_every_page_has_its_picture() -> None:
+    """The hook of the site that puts them there knows every page, and every drawing it names."""
+    drawings = hook("drawings")
     pages = {str(page.relative_to(ROOT / "docs")) for page in PAGES if page.name != "README.md"}
     assert pages - {"index.md"} | {"tables.md"} == set(drawings.PAGES)
     gallery = tomllib.loads((ROOT / "docs" / "gallery.toml").read_text(encoding="utf-8"))["build"]
@@ -188,6 +197,53 @@ def test_every_page_has_its_picture() -> None:
     shown = drawings.on_page_markdown("# Title\n\nText.\n", page, None, None)
     assert shown.startswith("# Title\n\n![Returns of five agents")
     assert "](../drawings/learning.svg)" in shown
+
+
+def test_the_board_of_the_first_page_is_that_of_the_entries() -> None:
+    """Words and bars of the drawing that is tracked."""
+    drawings = hook("drawings")
+    tracked = (ROOT / "docs" / "images" / "benchmark.svg").read_text(encoding="utf-8")
+    drawn = [tracked, drawings.svg("board").decode()]
+    words = [re.findall(r"<text[^>]*>([^<]*)", one) for one in drawn]
+    assert "look-ahead" in words[0]
+    assert words[0] == words[1]
+    paths = [" ".join(re.findall(r" d=\"([^\"]*)", one)) for one in drawn]
+    numbers = [np.array(re.findall(r"-?\d+(?:\.\d+)?", one), float) for one in paths]
+    np.testing.assert_allclose(*numbers, atol=0.5)
+
+
+def test_a_picture_of_the_gallery_is_that_of_its_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gallery = hook("gallery")
+    monkeypatch.setattr(gallery, "FOLDER", tmp_path)
+    assert len(gallery.entries()) >= 16
+    (entry,) = (one for one in gallery.entries() if one.name == "figure")
+    assert entry.facts() == {}
+    facts = gallery.make(entry)
+    assert facts == entry.facts()
+    assert facts["blocks"] == 13
+    assert not gallery.is_empty(entry.picture)
+    assert entry._replace(command=f"{entry.command} --no-props").facts() == {}
+    os.utime(entry.picture, (0, 0))
+    assert entry.facts() == {}
+    nothing = tmp_path / "nothing.png"
+    Image.new("RGB", (48, 40), "#f6f5f1").save(nothing)
+    assert gallery.is_empty(nothing)
+
+
+@pytest.mark.parametrize("name", ["README", "CONTRIBUTING", "CHANGELOG", "SECURITY"])
+def test_links_of_the_first_pages_lead_somewhere(name: str) -> None:
+    """Those of the other pages are looked at when the site is built."""
+    for link in re.findall(r"\]\(([^)\s]+)\)", (ROOT / f"{name}.md").read_text(encoding="utf-8")):
+        place, _, section = link.partition("#")
+        if not place.startswith("https://"):
+            page = ROOT / (place or f"{name}.md")
+            assert page.exists(), link
+            if section:
+                heads = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.M)
+                plain = [re.sub(r"[^\w\- ]", "", head.lower()) for head in heads]
+                assert section in [head.replace(" ", "-") for head in plain], link
 
 
 # Every script in examples runs, from any folder.

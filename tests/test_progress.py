@@ -26,7 +26,7 @@ from learn2assemble.cli.output import Output
 from learn2assemble.compiling import compiling_seconds
 from learn2assemble.errors import as_both, as_options
 from learn2assemble.linear_programs import Clock
-from learn2assemble.planning.reports import BuilderArm
+from learn2assemble.planning.reports import ArmReport, BuilderArm
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.progress import Detail
 from test_cli import Terminal
@@ -216,6 +216,22 @@ def test_what_the_arm_refuses_is_not_said_to_be_impossible(
     both = "--tool suction-side / tool='suction-side'"
     assert both in html.unescape(page)
     assert both in str(l2a.load_plan(tmp_path).reason)
+
+
+def test_a_summary_fits_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    """80 columns, with an arm and colours, too; files have nine lines more."""
+    plan = l2a.build(GATE)
+    assert plan.cells is not None
+    base = (-0.125, -0.525, 0.0, 1.57)
+    did = ArmReport("panda", 0.06, 120, (), 1169.0, "suction-wide", base, 12, 1.043, 2e-5, 3e-5)
+    print_plan(
+        Output(False), replace(plan, arm=did, cells=replace(plan.cells, other_colour=12)), {}
+    )
+    told = capsys.readouterr().out.splitlines()
+    assert "120 attempts (1.043 a step), 1169 s of robot time" in told
+    assert "cells in a block of another colour: 12" in told
+    assert max(map(len, told)) <= 80, told
+    assert len(told) <= 16
 
 
 def test_cells_larger_than_a_drawing_are_refused() -> None:

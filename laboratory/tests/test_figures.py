@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 from dataclasses import replace
@@ -278,6 +279,60 @@ def test_the_table_of_speeds_is_that_of_the_file() -> None:
     own = text.split("## Speed of the environments\n")[1].split("\n## ")[0]
     rows = [line for line in own.splitlines() if line.startswith("|")]
     assert rows == speed.table(entries).splitlines()
+
+
+def test_figures_of_the_first_page_are_those_of_the_tables() -> None:
+    """And all that it has of the paper's tables."""
+    with (ROOT / "results" / "tables.csv").open(encoding="utf-8") as stream:
+        lines = list(csv.DictReader(stream))
+
+    def found(table: str, task: str, method: str, physics: str = "static") -> dict[str, str]:
+        condition = (table, task, method, "0.05", physics)
+        keys = ("table", "task", "method", "epsilon", "physics")
+        (line,) = (one for one in lines if tuple(one[key] for key in keys) == condition)
+        assert line["agents"] == "5"
+        return line
+
+    def shown(line: dict[str, str], name: str) -> str:
+        return f"{float(line[name]):.2f} ± {float(line[f'{name}_ci95']):.2f}"
+
+    small, large = "two-sided-3x3-20-24", "two-sided-5x5-40-44"
+    search = "DQN+MCTS, budget 10"
+    plain, with_it = (found("T2", small, f"{m}, our schedule") for m in ("DQN", search))
+    ours, published = (
+        found("T2", large, m) for m in ("ours, budget 10 (model labels)", f"{search}, our schedule")
+    )
+    rows, anywhere = (
+        ("T4", "robot-two-sided-3x3-10-14"),
+        (
+            "T4-random",
+            "robot-random-two-sided-3x3-10-14",
+        ),
+    )
+    arm = [
+        [found(*place, f"{m}, paper's schedule", "published") for place in (rows, anywhere)]
+        for m in (search, "DQN")
+    ]
+    there, here = (
+        [" → ".join(f"{float(one[key]):.2f}" for one in pair) for pair in arm]
+        for key in ("paper_R", "R")
+    )
+    look = [one for one in lines if one["method"] == "exact look-ahead (knows outcomes)"]
+    (share,) = (
+        float(one["of_bound"])
+        for one in look
+        if (one["table"], one["task"], one["epsilon"]) == ("T2", small, "0")
+    )
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    own = text.split("## The paper, reproduced\n")[1].split("\n## ")[0]
+    for words in (
+        f"scores {shown(plain, 'R')} without search and {shown(with_it, 'R')} with it",
+        f"(paper: {shown(plain, 'paper_R')}, {shown(with_it, 'paper_R')})",
+        f"{shown(ours, 'R')} (paper, trained on 3x3: {shown(published, 'paper_R')})",
+        f"{here[0]} with search (paper: {there[0]}), {here[1]} without ({there[1]})",
+        f"reaches {share:.0%} of the bound".replace("%", " %"),
+    ):
+        assert words in own, words
 
 
 # Builds by an arm: every entry once, and what is no result is refused.

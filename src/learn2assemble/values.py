@@ -42,6 +42,8 @@ def read_head(
     # The format comes first: a foreign file should say that it is foreign.
     if "format" in root and root["format"] != form:
         raise InputError(f"{source}: format", root["format"], repr(form))
+    if "format" not in root and "format" in need:
+        raise InputError(source, sorted(root), f"the key 'format', with the value {form!r}")
     check_keys(root, source, "", valid, need)
     given = integer(root["version"], f"{source}: version")
     if given != version:

@@ -25,6 +25,7 @@ from learn2assemble.cell.world import (
 )
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.clearance import ways_out
+from learn2assemble.progress import Detail
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Attempt
 from learn2assemble.robot.studs import Studs
@@ -340,7 +341,8 @@ def _arrange(
             world.pose[step.block] = world.target(step.block)
             world.state[step.block] = RETURNED if step.remove else STANDING
             if len(order) % 20 == 0:
-                progress(f"an order the arm can reach: step {len(order)} of {len(job.steps)}")
+                done = f"step {len(order)} of {len(job.steps)}"
+                progress(Detail(f"an order the arm can reach: {done}"))
     return Arranged(tuple(order), {}, frozenset(by_hand))
 
 

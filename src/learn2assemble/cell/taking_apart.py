@@ -23,7 +23,7 @@ from learn2assemble.cell.workcell import ROOMS, Job, Offset, Progress, StepOf
 from learn2assemble.cell.world import STANDING, WorkcellBlocks
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.sequence import depth_first
-from learn2assemble.progress import silent
+from learn2assemble.progress import Detail, silent
 from learn2assemble.robot.kinematic import KinematicCell
 
 if TYPE_CHECKING:
@@ -176,7 +176,7 @@ class _Disassembly:
         order = depth_first(
             _Removals(self, part),
             Clock(math.inf),
-            lambda text: tell(f"an order the arm can reach: {text}"),
+            lambda text: tell(Detail(f"an order the arm can reach: {text}")),
         )
         if order.complete:
             return [step for one in reversed(order.path) for step in one.steps]

@@ -378,13 +378,14 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
     if plan.cells:
         cells, design = plan.cells, plan.design
         other = cells.other_colour
-        colour = "" if other is None else f", {other} in a block of another colour"
         shape = "" if design.iou is None else f"; {design.iou:.0%} of drawing and cells are common"
         planned = "cells, as planned" if plan.not_placed else "cells"
         output.say(
-            f"{planned}: {cells.wanted} wanted, {cells.missing} open, {cells.outside} outside"
-            f"{colour}{shape}"
+            f"{planned}: {cells.wanted} wanted, {cells.missing} open, "
+            f"{cells.outside} outside{shape}"
         )
+        if other is not None:
+            output.say(f"cells in a block of another colour: {other}")
         if design.not_read:
             output.say(f"warning: {design.source}: {design.not_read}")
     elif plan.design.targets:
@@ -432,15 +433,14 @@ def _print_arm(output: Output, arm: ArmReport, name: str) -> None:
         after = "; the rest was planned anew" if failure.replanned else ""
         output.say(f"attempt {failure.attempt}: {failure.outcome} ({failure.detail}){after}")
     where = f" at [{', '.join(f'{v:g}' for v in arm.base[:3])}]" if arm.base else ""
-    places = f"blocks from {arm.places} place{'s'[: arm.places != 1]}, " if arm.places else ""
-    output.say(
-        f"arm {name} with {arm.tool}{where}: {arm.attempts} attempts, {places}"
-        f"{arm.seconds:.0f} s of robot time"
-    )
+    places = f"blocks from {arm.places} place{'s'[: arm.places != 1]}" if arm.places else ""
+    output.say(f"arm {name} with {arm.tool}{where}{', ' * bool(places)}{places}")
+    a_step = "" if arm.attempts_per_step is None else f" ({arm.attempts_per_step:.3f} a step)"
+    output.say(f"{arm.attempts} attempts{a_step}, {arm.seconds:.0f} s of robot time")
     if arm.error_mean is not None and arm.error_worst is not None:
         output.say(
             f"blocks stand {1e3 * arm.error_mean:.2f} mm from their places on average, "
-            f"{1e3 * arm.error_worst:.2f} mm at most; {arm.attempts_per_step:.3f} attempts a step"
+            f"{1e3 * arm.error_worst:.2f} mm at most"
         )
 
 
