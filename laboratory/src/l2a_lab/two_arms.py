@@ -301,7 +301,8 @@ def holds_told(entries: dict[str, Result], what: str = "arch of 9", kind: str = 
     """
     built = [entries[name] for name in entries if name.startswith(f"{kind}/{what}/")]
     done = [one for one in built if one["status"] == "complete"]
-    words = f"Of {_count(len(built), 'build')} of the {what}, {len(done)} {'was' if len(done) == 1 else 'were'} complete"
+    were = "was" if len(done) == 1 else "were"
+    words = f"Of {_count(len(built), 'build')} of the {what}, {len(done)} {were} complete"
     if not done:
         reasons = {one["reason"] for one in built}
         return f"{words} ({'; '.join(sorted(map(str, reasons)))})."
