@@ -39,7 +39,7 @@ from learn2assemble.motion.setup import Setup
 from learn2assemble.planning.plan import Plan, Step
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.capsules import capsules_of, placed
-from learn2assemble.robot.grasps import LEVEL, Attitude
+from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.kinematics import forward, get_chain
@@ -59,17 +59,22 @@ NEAR_BY = 0.02
 PRESSES = 0.01
 """It is told to be no farther from there than this [rad], whatever is in its way: no drive of our
 arms turns with more than 45 N m for that."""
-CLAMPS, CLAMPING = 1e-3, 20
+CLAMP, CLAMP_TURNS = 1e-3, 20
 """Where tools are level, an arm that takes over holds its block as if its place were so much nearer
-to what stands beside it [m], so often before the other arm lets go: near the top of an arch joints
-are upright, and a block that nothing presses on from both sides slides down between its
-neighbours until they do."""
+to what stands beside it [m], for so many :data:`TURN` before the other arm lets go: near the top of
+an arch joints are upright, and a block that nothing presses on from both sides slides down between
+its neighbours until they do."""
 KEPT = Guard(hold="kept")
 MOVED = 5e-5
 """A block that the hand which holds it has moved farther is told to be elsewhere [m]."""
 GIVES, AT_ONCE = 0.3, STANDS
 """Of how far the joints of an arm that holds are off, so much is taken back every time, and no more
 than this [rad]."""
+SIDES = 12
+"""Of the polygons around an arm that holds."""
+ROOM = 0.012
+"""That solids around an arm are larger than it on all sides [m]: ways keep as far from them, or
+from the capsules in them, as from everything, 5 mm."""
 
 
 def build_in_turn(
@@ -321,9 +326,10 @@ class InTurn(Together[Cell]):
             self._tell(who, {k})
             joints = building.plant.sense().joints
             arm, off = building.job.arm, world.drawn(k)[:3] - world.pose[k, :3]
-            clamps = arm.most_tilt == LEVEL
-            there = moved_by(arm, joints, off + clamps * CLAMPS * self._against(who, k))
-            for _ in range(clamps * CLAMPING):
+            if arm.works_level:
+                off = off + CLAMP * self._against(who, k)
+            there = moved_by(arm, joints, off)
+            for _ in range(CLAMP_TURNS if arm.works_level else 0):
                 self.plant.loosen()
                 keep(run, there)
             self.now += 2
@@ -420,10 +426,3 @@ def _rounded(length: float, radius: float) -> Hull:
         for angle in around.tolist()
     ]
     return hull_of(np.array(points))
-
-
-SIDES = 12
-"""Of the polygons around an arm that holds."""
-ROOM = 0.012
-"""That solids around an arm are larger than it on all sides [m]: ways keep as far from them, or
-from the capsules in them, as from everything, 5 mm."""

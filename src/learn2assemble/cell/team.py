@@ -370,7 +370,7 @@ def plan_by_team(
 
 def told_of(members: Sequence[Member]) -> tuple[BuilderArm, ...]:
     """What a plan tells of the arms that build."""
-    level = members[0].job.arm.most_tilt == LEVEL
+    level = members[0].job.arm.works_level
     arms = [_site_arm(member) for member in members]
     reached = team_reach(arms, members[0].job.pieces, level=level)
     return tuple(

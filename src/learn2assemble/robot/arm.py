@@ -142,6 +142,11 @@ class Arm:
     :data:`MOST_TILT`."""
 
     @property
+    def works_level(self) -> bool:
+        """Whether its tool may be level at one end of a way."""
+        return self.most_tilt > MOST_TILT
+
+    @property
     def bounds(self) -> Limits:
         """Of its joints."""
         return Limits(self.velocity, self.acceleration, self.jerk, self.lower, self.upper)

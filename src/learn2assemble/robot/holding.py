@@ -396,12 +396,7 @@ class Way(NamedTuple):
         return self.hold.lip != FIRST
 
 
-def ways_to_turn(
-    arm: Arm,
-    shape: Shape,
-    now: np.ndarray,
-    goals: Sequence[np.ndarray],
-) -> list[Way]:
+def ways_to_turn(arm: Arm, shape: Shape, now: np.ndarray, goals: Sequence[np.ndarray]) -> list[Way]:
     """The holds with which a block can be turned from one rotation to another, the best ones
     first: those with the least tilt of the tool, on the highest part, near the centre of mass.
 
