@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import runpy
 from itertools import pairwise
 from pathlib import Path
@@ -29,15 +30,18 @@ from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import plan_by_team, set_up_team
 from learn2assemble.cell.workcell import Workcell
 from learn2assemble.errors import InputError
+from learn2assemble.geometry.hulls import box_hull, hull_of
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_matrix
 from learn2assemble.motion.record import find_fault
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.capsules import capsules_of, placed
+from learn2assemble.robot.bodies import Part
+from learn2assemble.robot.capsules import Capsules, capsules_of, placed, solid_capsules
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.scene import reshape
 from learn2assemble.simulation.execution import Execution
+from learn2assemble.simulation.model import TIMESTEP, compile_world
 from learn2assemble.statics.states import State
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "structures"
@@ -158,6 +162,67 @@ def test_solids_around_an_arm_contain_it() -> None:
             outside = own @ hull.normals.T - hull.offsets
             assert (outside <= -0.0115).all()
             assert outside.max(1).max() > -0.02
+
+
+def test_capsules_around_a_convex_part_contain_it_and_leave_room_beside_it() -> None:
+    rng = np.random.default_rng(1)
+    # A voussoir, whose upper end is twice as wide as its lower one.
+    ends = ((-0.06, 0.03), (0.06, 0.06))
+    wedge = np.array([(x, y, z) for z, x in ends for x in (-x, x) for y in (-0.04, 0.04)])
+    for points in (wedge, *(rng.normal(0, 0.03, (12, 3)) for _ in range(20))):
+        low, high = points.min(0), points.max(0)
+        hull = hull_of(points - (low + high) / 2)
+        middle, half = ((low + high) / 2).tolist(), ((high - low) / 2).tolist()
+        part = Part(tuple(middle), tuple(half), hull)
+        found = solid_capsules([part], np.zeros(3), np.eye(3), 0.008)
+        shares = rng.dirichlet(np.ones(len(hull.points)), 400)
+        inside = np.vstack([part.points, shares @ part.points])
+        assert outside(found, inside).max() < 1e-9
+    part = Part((0.0, 0.0, 0.0), (0.06, 0.04, 0.06), hull_of(wedge))
+    beside = np.array([[0.055, 0.0, -0.055]])  # In the box of the voussoir, 2 cm from its face.
+    own = solid_capsules([part], np.zeros(3), np.eye(3), 0.008)
+    box = solid_capsules([part._replace(hull=None)], np.zeros(3), np.eye(3), 0.008)
+    assert outside(own, beside)[0] > 0.005
+    assert outside(box, beside)[0] < 0
+
+
+def outside(capsules: Capsules, points: np.ndarray) -> np.ndarray:
+    """float64[n]: how far points are outside of all capsules [m]; at most 0 inside."""
+    a, b = capsules.ends[:, 0], capsules.ends[:, 1]
+    along = b - a
+    share = np.einsum("nkc,kc->nk", points[:, None] - a, along) / (along**2).sum(1).clip(1e-18)
+    near = a + share.clip(0, 1)[..., None] * along
+    return (np.linalg.norm(points[:, None] - near, axis=2) - capsules.radius).min(1)
+
+
+def test_friction_of_blocks_that_lean_does_not_creep() -> None:
+    """A block stays on a slope of 25 degrees, where friction of 0.6 carries up to 31."""
+    slope = math.radians(25.0)
+    rise = 0.2 * math.tan(slope)
+    ends = ((-0.1, 0.02), (0.1, 0.02 + rise))
+    wedge = np.array([(x, y, z) for x, top in ends for y in (-0.05, 0.05) for z in (0.0, top)])
+    height = float(wedge[:, 2].max()) / 2
+    lower, block = hull_of(wedge - [0.0, 0.0, height]), box_hull((0.04, 0.04, 0.02))
+    still = (((0.0, 0.0, 0.0), (0.1, 0.05, height), 50.0, lower),)
+    shape = (still, (((0.0, 0.0, 0.0), (0.04, 0.04, 0.02), 0.3, block),))
+    arm = get_arm("panda", "suction", (0.0, -1.5, 0.0, 0.0))
+    model = compile_world((arm,), shape, 0.6, hulls=frozenset({lower, block})).model
+    data = mujoco.MjData(model)
+    # Else it would fall asleep, and stay because of that.
+    model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+    up = 0.02 * np.array([-math.sin(slope), 0.0, math.cos(slope)])
+    middle = [0.0, 0.0, 0.02 + rise / 2]
+    turn = [math.cos(slope / 2), 0.0, -math.sin(slope / 2), 0.0]
+    places = ([0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0], [*np.add(up, middle), *turn])
+    ways = [model.jnt_qposadr[model.body(f"object{k}").jntadr[0]] for k in range(2)]
+    for way, place in zip(ways, places, strict=True):
+        data.qpos[way : way + 7] = place
+    seen = list[np.ndarray]()
+    for seconds in (1.0, 8.0):
+        for _ in range(round(seconds / TIMESTEP)):
+            mujoco.mj_step(model, data)
+        seen.append(data.qpos[ways[1] : ways[1] + 3].copy())
+    assert np.linalg.norm(seen[1] - seen[0]) < 5e-5
 
 
 def test_a_cup_that_is_moved_aside_stays_on_its_face() -> None:
