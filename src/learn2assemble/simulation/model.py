@@ -7,7 +7,8 @@ Settings that hold a block by friction alone and let structures rest:
 - impratio 10: more does not reduce the creep of a block in the hand, whose cause is that MuJoCo
   neglects the change of the contact Jacobian (what is held drifts outwards on every turn, by
   0.2-0.6 mm with the stiff pads of our arms and by 1-3 mm with soft ones), and with 100 the solver
-  fails where the hand jams several blocks;
+  fails where the hand jams several blocks; where blocks are no boxes it is 100 all the same, with
+  passes against slip, as friction that bears for minutes creeps otherwise (``_NO_SLIP``);
 - resting islands of blocks sleep, so a step costs what moves, not what is there.
 
 A move in a scene as the simulation sees it: rigid objects with poses, one to be moved.
