@@ -16,6 +16,7 @@ from learn2assemble.assembly.kit import Kind, Kit, load_kit, orientations
 from learn2assemble.errors import InputError, Learn2AssembleError
 from learn2assemble.linear_programs import Clock, LinearProgram, solve
 from learn2assemble.planning.tiling import retiling
+from learn2assemble.planning.tiling import tile as tile_module
 from learn2assemble.planning.tiling.candidates import (
     COSTS,
     BlockPlacement,
@@ -100,6 +101,23 @@ def test_shapes_are_filled_the_same_every_time(name: str) -> None:
     tiling = tile(wanted, LINTELS)
     check_cover(tiling, LINTELS)
     assert tile(wanted, LINTELS).placements == tiling.placements
+
+
+def test_what_was_tiled_before_changes_nothing() -> None:
+    """Parts of layers are remembered from one design to the next, but not what time cut short."""
+    rng, kit = np.random.default_rng(7), LINTELS
+    designs = [rng.random((4, 3, 2)) < 0.8 for _ in range(40)]
+    fresh = list[Tiling]()
+    for wanted in designs:
+        tile_module._known_layers.cache_clear()
+        fresh.append(tile(wanted, kit))
+    tile_module._known_layers.cache_clear()
+    assert tile(designs[0], kit, seconds=0.0).status != fresh[0].status
+    for k in rng.permutation(2 * len(designs)) % len(designs):
+        assert tile(designs[k], kit).placements == fresh[k].placements
+    known = list(tile_module._known_layers(kit))
+    assert tile(designs[5], kit).placements == fresh[5].placements
+    assert list(tile_module._known_layers(kit)) == known
 
 
 def test_wide_layers_are_cut_into_strips_and_still_filled() -> None:
@@ -315,6 +333,7 @@ def test_what_does_not_fit_is_named() -> None:
 
 
 def test_time_that_ran_out_is_called_so() -> None:
+    tile_module._known_layers.cache_clear()  # What is known takes no time.
     tiling = tile(shapes.big_house(), LINTELS, seconds=0.0)
     assert tiling.status == "time"
     assert "time ran out after 0 s" in tiling.reason

@@ -3,16 +3,19 @@ exact planner builds them.
 
 A data set is made in pieces of :data:`PIECE` episodes, each a file beside it until all are there:
 one that was interrupted goes on, and the same seed gives the same episodes, whoever works on them.
+Files have the layout of Minari's (HDF5, a group an episode), and are compressed, which whoever
+reads them does not notice: candidates of a design are mostly padding, 28 MB an episode.
 """
 
 from __future__ import annotations
 
+import importlib
 import math
 import os
 import shutil
 import time
 import warnings
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -36,7 +39,7 @@ PIECE, WORLDS = 250, 50
 """Most episodes of a piece; worlds of a task of placements that are stepped at once."""
 PIECE_BYTES = 2.0**28
 """No piece has many more bytes of observations in memory, unless it is one episode."""
-VERSION = 0
+VERSION = 1
 """Of the data sets: raised when episodes of the same seed change."""
 PLANNER = "planner"
 ROOT = "MINARI_DATASETS_PATH"
@@ -73,10 +76,11 @@ class _Piece(NamedTuple):
     file: Path
 
 
-Steps = dict[str, np.ndarray]
-"""Arrays over all steps of a piece, one after the other: ``actions``, ``rewards``, ``terminations``
-and, with one row more an episode, ``observations.NAME`` and ``infos.NAME``; ``lengths`` int64[E]:
-actions of each episode."""
+Episode = dict[str, np.ndarray]
+"""Arrays over the steps of an episode: ``actions``, ``rewards``, ``terminations``, ``truncations``
+and, with one row more, ``observations/NAME`` and ``infos/NAME``."""
+_GROUP = "episode_{}"
+_PACKED: dict[str, Any] = {"chunks": True, "compression": "gzip", "compression_opts": 1}
 
 
 def demonstrate(
@@ -140,7 +144,7 @@ def demonstrate(
         most = _piece_size(task)
         sizes = [min(most, episodes - first) for first in range(0, episodes, most)]
         pieces = [
-            _Piece(task, demonstrator, seed, number, size, parts / f"{number}.npz")
+            _Piece(task, demonstrator, seed, number, size, parts / f"{number}.hdf5")
             for number, size in enumerate(sizes)
         ]
         done = sum(piece.episodes for piece in pieces if _whole(piece))
@@ -149,12 +153,22 @@ def demonstrate(
             done += piece.episodes
             if progress is not None:
                 progress(f"{done} of {episodes} episodes")
-        steps, total, successes = _write(minari, dataset, task, name, pieces)
+        if progress is not None:
+            progress(f"{done} of {episodes} episodes, putting them together")
+        with _datasets_in(parts):
+            steps, total, successes = _put_together(minari, task, name, dataset, pieces, parts)
+        os.replace(parts / dataset, folder)
         shutil.rmtree(parts)
     seconds = time.perf_counter() - started
     return Demonstrated(
         dataset, folder, episodes, steps, total / episodes, successes / episodes, seconds
     )
+
+
+def _hdf5() -> Any:
+    """The module ``h5py``, which has no types."""
+    with extra("h5py", "demonstrations"):
+        return importlib.import_module("h5py")
 
 
 @contextmanager
@@ -176,8 +190,8 @@ def _whole(piece: _Piece) -> bool:
     """Whether the file of a piece has its episodes."""
     if not piece.file.is_file():
         return False
-    with np.load(piece.file) as found:
-        return len(found["lengths"]) == piece.episodes
+    with _hdf5().File(piece.file, "r") as found:
+        return len(found) == piece.episodes
 
 
 def _piece_size(task: str) -> int:
@@ -205,10 +219,18 @@ def _make(piece: _Piece) -> int:
     """Play a piece and write its file."""
     seed = piece_seed(piece.seed, piece.number)
     play = _designs if piece.demonstrator == PLANNER else _placements
-    with one_thread():
-        found = play(piece, seed)
-    with replacing(piece.file, "piece of a data set") as part, part.open("wb") as stream:
-        np.savez_compressed(stream, **found)  # pyright: ignore[reportArgumentType]
+    with (
+        one_thread(),
+        replacing(piece.file, "piece of a data set") as part,
+        _hdf5().File(part, "w", track_order=True) as file,
+    ):
+        for number, (episode, success) in enumerate(play(piece, seed)):
+            group = file.create_group(_GROUP.format(number))
+            for key, array in episode.items():
+                group.create_dataset(key, data=array, maxshape=(None, *array.shape[1:]), **_PACKED)
+            group.attrs.update(
+                {"id": number, "total_steps": len(episode["actions"]), "success": success}
+            )
     return piece.episodes
 
 
@@ -217,39 +239,31 @@ class _Recorder:
 
     def __init__(self, worlds: int) -> None:
         self._open: list[list[dict[str, Any]]] = [[] for _ in range(worlds)]
-        self.done: list[list[list[dict[str, Any]]]] = [[] for _ in range(worlds)]
 
     def seen(self, world: int, observation: Mapping[str, Any], info: Mapping[str, Any]) -> None:
         """What a world shows now: a row of the episode that goes on."""
-        row: dict[str, Any] = {f"observations.{k}": v for k, v in observation.items()}
-        row |= {f"infos.{k}": info[k] for k in ("action_masks", "coverage") if k in info}
+        row: dict[str, Any] = {f"observations/{k}": v for k, v in observation.items()}
+        row |= {f"infos/{k}": info[k] for k in ("action_masks", "coverage") if k in info}
         self._open[world].append(row)
 
     def acted(self, world: int, action: int, reward: float, ended: bool) -> None:
         """What was done with what was seen last."""
         row = {"actions": np.int64(action), "rewards": float(reward), "terminations": ended}
-        self._open[world][-1] |= row
+        self._open[world][-1] |= row | {"truncations": False}
 
-    def end(self, world: int, success: bool) -> None:
-        """The episode is over, its last row seen."""
-        self._open[world][-1]["success"] = success
-        self.done[world].append(self._open[world])
+    def end(self, world: int) -> Episode:
+        """The episode that is over, its last row seen."""
+        rows, self._open[world] = self._open[world], []
+        return {key: np.stack([row[key] for row in rows if key in row]) for key in rows[0]}
+
+    def forget(self, world: int) -> None:
+        """An episode that is not kept."""
         self._open[world] = []
 
-    def steps(self, each: list[int]) -> Steps:
-        """The first episodes of every world, so many as ``each`` says: those that were longer
-        count as much as short ones."""
-        kept = [e for done, n in zip(self.done, each, strict=True) for e in done[:n]]
-        rows = [row for episode in kept for row in episode]
-        found = {
-            key: np.stack([row[key] for row in rows if key in row])
-            for key in dict.fromkeys(key for row in rows for key in row)
-        }
-        return found | {"lengths": np.array([len(episode) - 1 for episode in kept])}
 
-
-def _placements(piece: _Piece, seed: int) -> Steps:
-    """Episodes of a task of placements by an agent."""
+def _placements(piece: _Piece, seed: int) -> Iterator[tuple[Episode, bool]]:
+    """Episodes of a task of placements by an agent, each with its success. Of every world the first
+    ones are taken: those that were longer count as much as short ones."""
     worlds = min(WORLDS, piece.episodes)
     each = [piece.episodes // worlds + (k < piece.episodes % worlds) for k in range(worlds)]
     env = AssemblyVectorEnv(
@@ -257,9 +271,9 @@ def _placements(piece: _Piece, seed: int) -> Steps:
     )
     simulator = env.simulator
     model = WorldModel(simulator, load_agent(piece.demonstrator).network)
-    found = _Recorder(worlds)
+    found, done = _Recorder(worlds), [list[tuple[Episode, bool]]() for _ in range(worlds)]
     observations, infos = env.reset(seed=seed)
-    while any(len(done) < wanted for done, wanted in zip(found.done, each, strict=True)):
+    while any(len(had) < wanted for had, wanted in zip(done, each, strict=True)):
         graph, spec = simulator.observe(env.state), simulator.action_spec
         chosen = model.best(env.state)[1] + node_offset(graph)
         actions = locate(distinct_placements(graph, spec), graph, chosen, spec)
@@ -271,8 +285,9 @@ def _placements(piece: _Piece, seed: int) -> Steps:
             if ended[k]:
                 last, told = infos["final_obs"][k], _row(infos["final_info"], k)
                 found.seen(k, last, told)
-                found.end(k, bool(told["success"]))
-    return found.steps(each)
+                done[k].append((found.end(k), bool(told["success"])))
+    for had, wanted in zip(done, each, strict=True):
+        yield from had[:wanted]
 
 
 def _row(batch: Mapping[str, Any], k: int) -> dict[str, Any]:
@@ -280,12 +295,12 @@ def _row(batch: Mapping[str, Any], k: int) -> dict[str, Any]:
     return {key: value[k] for key, value in batch.items() if isinstance(value, np.ndarray)}
 
 
-def _designs(piece: _Piece, seed: int) -> Steps:
+def _designs(piece: _Piece, seed: int) -> Iterator[tuple[Episode, bool]]:
     """Random designs, built in the order of the solution that the exact planner found."""
     env = DesignEnv(piece.task)
-    found = _Recorder(1)
+    found, kept = _Recorder(1), 0
     observation, info = env.reset(seed=seed)
-    while len(found.done[0]) < piece.episodes:
+    while kept < piece.episodes:
         assert env.solved is not None
         for candidate in env.solved.order:
             numbers = np.flatnonzero(env.offered == candidate)
@@ -297,60 +312,52 @@ def _designs(piece: _Piece, seed: int) -> Steps:
             found.acted(0, action, reward, ended)
         if info["success"]:
             found.seen(0, observation, info)
-            found.end(0, True)
+            kept += 1
+            yield found.end(0), True
+        found.forget(0)
         observation, info = env.reset()
-    return found.steps([piece.episodes])
 
 
-def _write(
-    minari: Any, dataset: str, task: str, name: str, pieces: list[_Piece]
+def _put_together(
+    minari: Any, task: str, name: str, dataset: str, pieces: list[_Piece], root: Path
 ) -> tuple[int, float, int]:
-    """Put the pieces together; number of steps, sum of rewards, episodes with success."""
-    env, first = _environment(task), 0
-    steps, total, successes, made = 0, 0.0, 0, None
-    for piece in pieces:
-        with np.load(piece.file) as stored:
-            found = {key: stored[key] for key in stored.files}
-        buffers = _buffers(minari.data_collector.EpisodeBuffer, found, first)
-        first += piece.episodes
-        steps += int(found["lengths"].sum())
-        total += float(found["rewards"].sum())
-        successes += int(found["success"].sum())
-        if made is None:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # That author and address are not told.
-                made = minari.create_dataset_from_buffers(
-                    dataset,
-                    buffers,
-                    env=env,
-                    algorithm_name=name,
-                    description=f"{task} as {name} plays it.",
-                    data_format="hdf5",
-                )
-        else:
-            made.update_dataset_from_buffer(buffers)
+    """A whole data set of the pieces, in a folder of data sets of its own; number of steps, sum of
+    rewards, episodes with success."""
+    h5py = _hdf5()
+    successes, total, steps, episodes = 0, 0.0, 0, 0
+    whole = root / "whole.hdf5"
+    first: dict[str, Any] = {}
+    with h5py.File(whole, "w", track_order=True) as out:
+        for piece in pieces:
+            with h5py.File(piece.file, "r") as stored:
+                for number in range(piece.episodes):
+                    group = stored[_GROUP.format(number)]
+                    first = first or _read(group)
+                    # What is compressed is copied as it is.
+                    stored.copy(group, out, _GROUP.format(episodes))
+                    out[_GROUP.format(episodes)].attrs["id"] = episodes
+                    episodes += 1
+                    steps += int(group.attrs["total_steps"])
+                    total += float(group["rewards"][()].sum())
+                    successes += int(group.attrs["success"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # That author and address are not told.
+        made = minari.create_dataset_from_buffers(
+            dataset,
+            [minari.data_collector.EpisodeBuffer(id=0, **first)],
+            env=_environment(task),
+            algorithm_name=name,
+            description=f"{task} as {name} plays it.",
+            data_format="hdf5",
+        )
+    os.replace(whole, made.storage.data_path / "main_data.hdf5")
+    size = made.storage.get_size()
+    made.storage.update_metadata(
+        {"total_episodes": episodes, "total_steps": steps, "dataset_size": size}
+    )
     return steps, total, successes
 
 
-def _buffers(buffer: Callable[..., Any], found: Steps, first: int) -> list[Any]:
-    """The episodes of a piece as Minari takes them."""
-    lengths, end, out = found["lengths"].tolist(), 0, list[Any]()
-    for number, count in enumerate(lengths):
-        end += count
-        taken, seen = slice(end - count, end), slice(end - count + number, end + number + 1)
-        out.append(
-            buffer(
-                id=first + number,
-                observations=_named(found, "observations.", seen),
-                actions=found["actions"][taken],
-                rewards=found["rewards"][taken],
-                terminations=found["terminations"][taken],
-                truncations=np.zeros(count, np.bool_),
-                infos=_named(found, "infos.", seen),
-            )
-        )
-    return out
-
-
-def _named(found: Steps, start: str, rows: slice) -> dict[str, np.ndarray]:
-    return {key[len(start) :]: v[rows] for key, v in found.items() if key.startswith(start)}
+def _read(group: Any) -> dict[str, Any]:
+    """A group of HDF5 as nested dictionaries of arrays."""
+    return {key: _read(part) if hasattr(part, "items") else part[()] for key, part in group.items()}

@@ -23,6 +23,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -221,6 +222,19 @@ def cover(
 # ---------------------------------------------------------------- layers
 
 
+_Layer = tuple[list[BlockPlacement], list[Cell]]
+"""Blocks of a part of a layer, and its cells that are left open."""
+_MOST_LAYERS = 1 << 14
+"""Parts of layers that are remembered of a kit: some 50 MB."""
+
+
+@lru_cache(maxsize=4)
+def _known_layers(kit: Kit) -> dict[bytes, _Layer]:
+    """What was found for parts of layers, of this design or of others: the solver answers the same
+    whenever it is asked. Random designs of one kit share more than half of their parts."""
+    return {}
+
+
 class _Layers:
     """Tiles a building layer by layer and remembers layers it has seen."""
 
@@ -228,7 +242,7 @@ class _Layers:
         self, wanted: np.ndarray, kit: Kit, clock: Clock, shades: np.ndarray | None = None
     ) -> None:
         self.wanted, self.kit, self.clock, self.shades = wanted, kit, clock, shades
-        self.known: dict[bytes, tuple[list[BlockPlacement], list[Cell]]] = {}
+        self.known = _known_layers(kit)
         self.fills_any = any(kind.cells == ((0, 0, 0),) for kind in kit.kinds)
         self.timed_out = False
         self.left: list[Cell] = []
@@ -277,9 +291,16 @@ class _Layers:
                 b"" if tint is None else tint[mask].tobytes(),
             ]
         )
-        if key not in self.known:
-            self.known[key] = self._solve(mask[:, :, None], under, near, heap, tint)
-        blocks, left = self.known[key]
+        found = self.known.get(key)
+        if found is None:
+            before, self.timed_out = self.timed_out, False
+            found = self._solve(mask[:, :, None], under, near, heap, tint)
+            if not self.timed_out:
+                if len(self.known) >= _MOST_LAYERS:
+                    del self.known[next(iter(self.known))]
+                self.known[key] = found
+            self.timed_out |= before
+        blocks, left = found
         self.left += [(x + x0, y + y0, z) for x, y, _ in left]
         return [
             replace(block, origin=(block.origin[0] + x0, block.origin[1] + y0, z))
