@@ -13,6 +13,7 @@ KERNELS := $(shell grep -rlF --include='*.py' @kernel src laboratory/src)
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=python3.x"; exit 1; }
+	@echo "installing into $(VENV): half a minute to two, quiet while pip works"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 

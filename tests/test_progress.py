@@ -18,7 +18,7 @@ import pytest
 from numba import njit
 
 import learn2assemble as l2a
-from learn2assemble import linear_programs
+from learn2assemble import linear_programs, progress
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cli import main, output
 from learn2assemble.cli.commands import _print_plan as print_plan
@@ -26,7 +26,7 @@ from learn2assemble.cli.output import Output
 from learn2assemble.compiling import compiling_seconds
 from learn2assemble.errors import as_both, as_options
 from learn2assemble.linear_programs import Clock
-from learn2assemble.planning.reports import ArmReport, BuilderArm
+from learn2assemble.planning.reports import ArmFailure, ArmReport, BuilderArm
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.progress import Detail
 from test_cli import Terminal
@@ -43,6 +43,20 @@ def test_details_are_told_not_too_often_with_the_time_that_is_left() -> None:
         clock.tell(f"{second} steps")
     assert told == ["2 steps, at most 58 s left", "4 steps, at most 56 s left"]
     assert [line.what for line in told] == ["2 steps", "4 steps"]
+
+
+def test_what_is_counted_is_told_with_an_estimate(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two seconds each, by a stand-in clock: nothing before the first is done."""
+    now, told = [0.0], list[str]()
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    for item in progress.counted("abcde", "drawing", told.append):
+        now[0] += 2.0 if item < "d" else 1.0
+    assert told == [
+        "drawing: 1 of 5, about 8 s left",
+        "drawing: 2 of 5, about 6 s left",
+        "drawing: 3 of 5, about 4 s left",
+    ]
+    assert all(isinstance(line, Detail) for line in told)
 
 
 def test_compiling_uses_no_time_of_a_limit() -> None:
@@ -232,6 +246,16 @@ def test_a_summary_fits_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     assert "cells in a block of another colour: 12" in told
     assert max(map(len, told)) <= 80, told
     assert len(told) <= 16
+    failures = [
+        ArmFailure(k, "dropped" if k % 3 else "unstable", "block 7", False) for k in range(9)
+    ]
+    many = replace(plan, arm=replace(did, failures=tuple(failures)))
+    print_plan(Output(False), many, {})
+    short = capsys.readouterr().out.splitlines()
+    assert "more attempts that failed: 2 unstable, 4 dropped (--verbose shows each)" in short
+    assert len(short) <= 19
+    print_plan(Output(False, verbose=True), many, {})
+    assert len(capsys.readouterr().out.splitlines()) == len(short) + 5
 
 
 def test_cells_larger_than_a_drawing_are_refused() -> None:

@@ -248,7 +248,7 @@ def test_the_files_of_a_build_and_an_unsound_one(
 ) -> None:
     drawn: list[Path] = []
     monkeypatch.setattr(
-        "learn2assemble.viewer.video.write_video", lambda plan, record, path: drawn.append(path)
+        "learn2assemble.viewer.video.write_video", lambda plan, record, path, _: drawn.append(path)
     )
     record = arm_record("panda", COUNT)
     plan = replace(arm_plan(COUNT), records=(record,))

@@ -174,7 +174,7 @@ class Building:
             text = (
                 f"{how}: {last.what} {piece.id} ({piece.name}): {last.outcome}, {left} steps left"
             )
-            progress(Detail(text) if last.outcome == Outcome.REACHED.label else text)
+            progress(Detail(text))
         return f"given up after {most} attempts"
 
     # ------------------------------------------------------------ one attempt

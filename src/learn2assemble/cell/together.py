@@ -33,7 +33,6 @@ from learn2assemble.motion.recorder import StepMotion
 from learn2assemble.motion.setup import Setup, open_plant
 from learn2assemble.planning.plan import Plan
 from learn2assemble.progress import Detail
-from learn2assemble.robot.moves import Outcome
 from learn2assemble.simulation.execution import EMPTY, Execution, straight_motion
 from learn2assemble.simulation.model import Failure, lean_table, rigid_objects
 from learn2assemble.simulation.ways import WorldChecker, free_way
@@ -309,7 +308,7 @@ class Together(Generic[Cell]):
         left = sum(not building.known.satisfied(step) for step in building.known.order)
         text = f"{self.worked[who].name}: {last.what} {world.pieces[action.block].id}: "
         text += f"{last.outcome}{': ' + last.detail if last.detail else ''}, {left} steps left"
-        progress(Detail(text) if last.outcome == Outcome.REACHED.label else text)
+        progress(Detail(text))
         return True
 
     def _over(self, who: int, before: list[int], begin: float, end: float) -> None:

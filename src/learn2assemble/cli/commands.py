@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 _COMMANDS: dict[str, Command] = {}
 _MOST_SHAPES = 12
 """Shapes of blocks without a kind that have a line each on the terminal."""
+_FAILURES = 3
+"""Attempts that failed that have a line each."""
 
 
 def register_command(commands: Registry[Command]) -> None:
@@ -422,16 +424,20 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
     if waits := [f"{s.step} ({s.wait_h:g} h)" for s in plan.steps if s.wait_h is not None]:
         output.say(f"wait until the mortar holds before steps {', '.join(waits)}")
     if plan.reason:
-        output.say(f"why: {plan.reason}")
+        output.paragraph(f"why: {plan.reason}")
     for what, path in files.items():
         output.say(f"{what}: {path}")
 
 
 def _print_arm(output: Output, arm: ArmReport, name: str) -> None:
     """What an arm did, which steps call by a name."""
-    for failure in arm.failures:
+    shown = len(arm.failures) if output.verbose else _FAILURES
+    for failure in arm.failures[:shown]:
         after = "; the rest was planned anew" if failure.replanned else ""
-        output.say(f"attempt {failure.attempt}: {failure.outcome} ({failure.detail}){after}")
+        output.paragraph(f"attempt {failure.attempt}: {failure.outcome} ({failure.detail}){after}")
+    if rest := Counter(failure.outcome for failure in arm.failures[shown:]):
+        told = ", ".join(f"{count} {outcome}" for outcome, count in rest.items())
+        output.say(f"more attempts that failed: {told} (--verbose shows each)")
     where = f" at [{', '.join(f'{v:g}' for v in arm.base[:3])}]" if arm.base else ""
     places = f"blocks from {arm.places} place{'s'[: arm.places != 1]}" if arm.places else ""
     output.say(f"arm {name} with {arm.tool}{where}{', ' * bool(places)}{places}")

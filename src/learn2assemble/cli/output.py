@@ -116,6 +116,20 @@ class Output:
         self.heartbeat.stop()
         self.console.print(as_options(text), markup=False)
 
+    def paragraph(self, text: str) -> None:
+        """Words for people that may be longer than a line of the terminal."""
+        told = as_options(text)
+        width = max(self.console.width, 20)
+        if self.console.is_terminal:
+            told = textwrap.fill(
+                told,
+                width,
+                subsequent_indent="  ",
+                break_on_hyphens=False,
+                break_long_words=False,
+            )
+        self.say(told)
+
     def phase(self, text: str) -> None:
         """What begins, for the line that takes the place of silence."""
         self.heartbeat.phase = text

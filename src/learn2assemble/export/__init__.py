@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from learn2assemble.progress import Progress
     from learn2assemble.registry import Registry
 
 WITH_EVERY_PLAN = ("assembly", "bill", "cards")
@@ -25,7 +26,7 @@ def register_export(exports: Registry[Any]) -> None:
     exports.register("assembly", _assembly)
 
 
-def _assembly(plan: Any, folder: Path) -> dict[str, Path]:
+def _assembly(plan: Any, folder: Path, progress: Progress) -> dict[str, Path]:
     from learn2assemble.export.formats import export_assembly
 
     # Without a proven order there is nothing to build from.

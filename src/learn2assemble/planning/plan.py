@@ -18,6 +18,7 @@ from learn2assemble.errors import InputError, as_both
 from learn2assemble.files import MAX_GENERATED, as_path, load_json, read_text, write_file
 from learn2assemble.planning.folder import FORMAT, check_own
 from learn2assemble.planning.reports import ArmReport, BuilderArm, RebuildReport
+from learn2assemble.progress import Progress, silent
 from learn2assemble.registry import Registry
 from learn2assemble.values import Range, from_plain, integer, mapping, to_plain
 
@@ -402,7 +403,7 @@ class Plan:
         folder: str | Path,
         video: bool = False,
         page: bool = True,
-        progress: Callable[[str], None] = lambda text: None,
+        progress: Progress = silent,
     ) -> dict[str, Path]:
         """Write ``plan.json``, with an arm its trajectory, and what else is asked for.
 
@@ -433,7 +434,7 @@ class Plan:
         text = json.dumps(said.to_dict(), indent=1, allow_nan=False) + "\n"
         write_file(files["plan"], text, "plan")
         if self.assembly is not None:
-            files |= EXPORTS["assembly"](self, folder)
+            files |= EXPORTS["assembly"](self, folder, progress)
         if page:
             files |= self.write_page(folder)
         for name, record in zip(trajectory_names(len(self.records)), self.records, strict=True):
@@ -444,11 +445,10 @@ class Plan:
             write_record(record, files[what])
             write_csv(record, files[f"{what} table"])
         if video and any(record.steps for record in self.records):
-            progress("drawing the video")
-            files |= EXPORTS["video"](self, folder)
+            files |= EXPORTS["video"](self, folder, progress)
         return files
 
-    def _with_fault(self, progress: Callable[[str], None]) -> Plan:
+    def _with_fault(self, progress: Progress) -> Plan:
         """The same, with what is wrong with the motion of an arm, if anything is."""
         did = [self.arm] if self.arm is not None else [one.did for one in self.arms]
         if len(did) != len(self.records) or None in did:
@@ -471,11 +471,11 @@ class Plan:
     def write_page(self, folder: Path) -> dict[str, Path]:
         """Write ``view.html`` and ``progress.png``, see :meth:`save`; which file is what."""
         check_own(folder)
-        return EXPORTS["page"](self, folder)
+        return EXPORTS["page"](self, folder, silent)
 
 
-Exporter = Callable[[Plan, Path], dict[str, Path]]
-"""Writes something of a plan into a folder; returns which file is what."""
+Exporter = Callable[[Plan, Path, Progress], dict[str, Path]]
+"""Writes something of a plan into a folder, and tells how far it is; returns which file is what."""
 EXPORTS: Registry[Exporter] = Registry("export", {})
 """What can be written of a plan, besides itself."""
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from learn2assemble.planning.plan import Exporter, Plan
+    from learn2assemble.progress import Progress
     from learn2assemble.registry import Registry
 
 __all__ = ["register_export"]
@@ -21,7 +22,7 @@ def register_export(exports: Registry[Exporter]) -> None:
     exports.register("video", _video)
 
 
-def _page(plan: Plan, folder: Path) -> dict[str, Path]:
+def _page(plan: Plan, folder: Path, progress: Progress) -> dict[str, Path]:
     from learn2assemble.viewer.page import write_plan_page
     from learn2assemble.viewer.picture import write_progress
 
@@ -33,8 +34,8 @@ def _page(plan: Plan, folder: Path) -> dict[str, Path]:
     return {"page": page, "picture": picture}
 
 
-def _video(plan: Plan, folder: Path) -> dict[str, Path]:
+def _video(plan: Plan, folder: Path, progress: Progress) -> dict[str, Path]:
     from learn2assemble.viewer.video import write_video
 
-    write_video(plan, plan.records, folder / "build.mp4")
+    write_video(plan, plan.records, folder / "build.mp4", progress)
     return {"video": folder / "build.mp4"}

@@ -23,6 +23,7 @@ from learn2assemble.files import replacing
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_matrix
 from learn2assemble.motion.record import BuildRecord
 from learn2assemble.planning.plan import Plan
+from learn2assemble.progress import Progress, counted, silent
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.shape import LinkPart, Mesh, box
 from learn2assemble.viewer import renderer
@@ -364,17 +365,21 @@ def require_video() -> ModuleType:
     return av
 
 
-def write_video(plan: Plan, records: Sequence[BuildRecord], path: Path) -> None:
+def write_video(
+    plan: Plan, records: Sequence[BuildRecord], path: Path, progress: Progress = silent
+) -> None:
     """Write ``build.mp4``. The same records give the same pictures.
 
     Args:
         plan: that the records fit.
         records: what each arm did.
+        progress: told how many frames are drawn.
 
     Raises:
         MissingExtraError: without the extra ``video``.
         InputError: where the record does not fit the plan, or ``path`` cannot be written.
     """
+    progress("drawing the video")
     av, film = require_video(), Frames(plan, records)
     options = {"crf": "20", "preset": "veryfast", "threads": "1"}
     with (
@@ -386,7 +391,8 @@ def write_video(plan: Plan, records: Sequence[BuildRecord], path: Path) -> None:
         stream = file.add_stream("libx264", rate=FRAMES_PER_SECOND, options=options)
         stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
         last, picture = -1.0, None
-        for clock in moments(film.playback.duration, film.speed).tolist():
+        shown = moments(film.playback.duration, film.speed).tolist()
+        for clock in counted(shown, "drawing the video", progress):
             if picture is None or clock != last:
                 picture, last = film.frame(clock), clock
             file.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
