@@ -76,10 +76,13 @@ class _Piece(NamedTuple):
     file: Path
 
 
-Episode = dict[str, np.ndarray]
-"""Arrays over the steps of an episode: ``actions``, ``rewards``, ``terminations``, ``truncations``
-and, with one row more, ``observations/NAME`` and ``infos/NAME``."""
+Episode = dict[str, list[Any]]
+"""What an episode has of every step: ``actions``, ``rewards``, ``terminations``, ``truncations``
+and, with one more, ``observations/NAME`` and ``infos/NAME``. Arrays may be shorter than the space
+says; zeros follow."""
 _GROUP = "episode_{}"
+_CHUNK = 128
+"""Candidates that are compressed together."""
 _PACKED: dict[str, Any] = {"chunks": True, "compression": "gzip", "compression_opts": 1}
 
 
@@ -219,6 +222,8 @@ def _make(piece: _Piece) -> int:
     """Play a piece and write its file."""
     seed = piece_seed(piece.seed, piece.number)
     play = _designs if piece.demonstrator == PLANNER else _placements
+    spaces: Any = _environment(piece.task).observation_space
+    shapes = {f"observations/{name}": part.shape for name, part in spaces.items()}
     with (
         one_thread(),
         replacing(piece.file, "piece of a data set") as part,
@@ -226,12 +231,30 @@ def _make(piece: _Piece) -> int:
     ):
         for number, (episode, success) in enumerate(play(piece, seed)):
             group = file.create_group(_GROUP.format(number))
-            for key, array in episode.items():
-                group.create_dataset(key, data=array, maxshape=(None, *array.shape[1:]), **_PACKED)
+            for key, rows in episode.items():
+                _store(group, key, rows, shapes.get(key))
             group.attrs.update(
                 {"id": number, "total_steps": len(episode["actions"]), "success": success}
             )
     return piece.episodes
+
+
+def _store(group: Any, key: str, rows: list[Any], shape: tuple[int, ...] | None) -> None:
+    """Write what every step of an episode has.
+
+    Args:
+        shape: that of the space, where arrays may be shorter. Parts of a file that nothing is
+            written to are zeros and take no room.
+    """
+    if shape is None or all(np.shape(row) == shape for row in rows):
+        array = np.stack(rows)
+        group.create_dataset(key, data=array, maxshape=(None, *array.shape[1:]), **_PACKED)
+        return
+    size, chunk = (len(rows), *shape), (1, min(shape[0], _CHUNK), *shape[1:])
+    how = _PACKED | {"chunks": chunk, "dtype": rows[0].dtype, "maxshape": (None, *shape)}
+    whole = group.create_dataset(key, size, **how)
+    for number, row in enumerate(rows):
+        whole[number, : len(row)] = row
 
 
 class _Recorder:
@@ -254,7 +277,7 @@ class _Recorder:
     def end(self, world: int) -> Episode:
         """The episode that is over, its last row seen."""
         rows, self._open[world] = self._open[world], []
-        return {key: np.stack([row[key] for row in rows if key in row]) for key in rows[0]}
+        return {key: [row[key] for row in rows if key in row] for key in rows[0]}
 
     def forget(self, world: int) -> None:
         """An episode that is not kept."""
@@ -307,15 +330,21 @@ def _designs(piece: _Piece, seed: int) -> Iterator[tuple[Episode, bool]]:
             if not len(numbers):  # There are more than an action can name.
                 break
             action = int(numbers[0])
-            found.seen(0, observation, info)
+            found.seen(0, _without_padding(observation), info)
             observation, reward, ended, _, info = env.step(action)
             found.acted(0, action, reward, ended)
         if info["success"]:
-            found.seen(0, observation, info)
+            found.seen(0, _without_padding(observation), info)
             kept += 1
             yield found.end(0), True
         found.forget(0)
         observation, info = env.reset()
+
+
+def _without_padding(observation: dict[str, Any]) -> dict[str, Any]:
+    """The candidates that are offered, without the zeros after the last."""
+    offered = int(observation["mask"].sum())
+    return observation | {"candidates": observation["candidates"][:offered].copy()}
 
 
 def _put_together(

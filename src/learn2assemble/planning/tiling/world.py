@@ -15,7 +15,7 @@ the new state stands. Candidates are found once; every placement then changes on
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -29,7 +29,7 @@ from learn2assemble.planning.tiling.candidates import (
     find_candidates,
 )
 from learn2assemble.planning.tiling.props import FIRM, choose_props
-from learn2assemble.planning.tiling.stack import find_stack, grow_stack
+from learn2assemble.planning.tiling.stack import block_masses, find_stack, grow_stack
 from learn2assemble.planning.tiling.tile import Tiling, check_cells
 from learn2assemble.statics.step_proof import EDGE_INSET, Proof, Stack, lies_below
 
@@ -122,13 +122,9 @@ def make_site(wanted: np.ndarray, kit: Kit, props: bool = False) -> LatticeSite:
     z = found.cell % wanted.shape[2]
     rests = low & (z > 0) & wanted.reshape(-1)[np.maximum(found.cell - 1, 0)]
     on_start, on = _grouped(found.cell[rests] - 1, candidate[rests], cells)
-    weight, centre = np.empty(len(ways)), np.empty((len(ways), 3))
-    for number, way in enumerate(ways):
-        shape = np.max(way.cells, axis=0) + 1
-        block = BlockPlacement(kit.kinds[way.kind].name, way.turn, (0, 0, 0))
-        alone = find_stack((block,), kit, tuple(int(v) for v in shape))
-        weight[number] = alone.weight[0]
-        centre[number] = alone.centre[0] + np.array([*shape[:2] / 2, 0.0]) * kit.pitch
+    weight, centre = _bodies(
+        replace(kit, kinds=tuple(replace(kind, count=None) for kind in kit.kinds))
+    )
     limits = [-1 if kind.count is None else kind.count for kind in kit.kinds]
     return LatticeSite(
         wanted,
@@ -145,6 +141,30 @@ def make_site(wanted: np.ndarray, kit: Kit, props: bool = False) -> LatticeSite:
         np.array(limits, np.int64),
         props,
     )
+
+
+@lru_cache(maxsize=16)
+def _bodies(kit: Kit) -> tuple[np.ndarray, np.ndarray]:
+    """Weight float64[w] [kg] and centre of mass float64[w, 3] [m], from the corner of its cells, of
+    a block in every way of a kit (:func:`orientations`)."""
+    ways = orientations(kit)
+    shapes = [np.max(way.cells, axis=0) + 1 for way in ways]
+    masses = [
+        block_masses(
+            (BlockPlacement(kit.kinds[way.kind].name, way.turn, (0, 0, 0)),),
+            kit,
+            tuple(int(v) for v in shape),
+        )
+        for way, shape in zip(ways, shapes, strict=True)
+    ]
+    weight = np.array([w[0] for w, _ in masses])
+    centre = np.array(
+        [
+            at[0] + np.array([*shape[:2] / 2, 0.0]) * kit.pitch
+            for (_, at), shape in zip(masses, shapes, strict=True)
+        ]
+    ).reshape(-1, 3)
+    return weight, centre
 
 
 def _grouped(key: np.ndarray, value: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
