@@ -48,8 +48,9 @@ def _curves_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "name",
         metavar="NAME",
-        help="architectures, connectivity or algorithms; scaling: over the size of targets, "
-        "decision times are measured where missing",
+        help="architectures, connectivity, algorithms, or robot-two-sided, robot-four-sided, "
+        "robot-objects, robot-one-sided; scaling: over the size of targets, decision times are "
+        "measured where missing",
     )
     parser.add_argument("--runs", type=named, default=RUNS, help="file with logs of runs")
     parser.add_argument("--out", type=named, default=PICTURES, help="folder")

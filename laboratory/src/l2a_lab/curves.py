@@ -31,6 +31,9 @@ LEVELS = (3.21, 3.47)
 """The paper's R at epsilon 0.05 without search and with budget 10, on two-sided-3x3-20-24."""
 BAR_LEVELS = (1.94, 2.42)
 """The paper's R of full and of partial connectivity on bars-one-sided-5x5-25-27."""
+ROBOT_LEVELS = {"two": (2.16,), "four": (2.67,), "objects": (1.25,), "one": (2.71,)}
+"""The paper's R with a robot without search, on the task of training: two sides, four, several
+objects, one side."""
 POINTS = 240
 """Grid of samples a curve is drawn on."""
 WINDOW = 9
@@ -110,6 +113,48 @@ _ALL = (
         (("DQN", "dqn"), ("ε-MCTS", "eps-mcts"), ("Q-MCTS", "q-mcts")),
         "Q-MCTS and ε-MCTS search while they collect: their curves are of the search.",
     ),
+    Curves(
+        "robot-two-sided",
+        "Two sides with a robot (kinematic cell)",
+        (
+            ("DQN, paper's schedule", "robot-two-sided-paper"),
+            ("DQN, our schedule", "robot-two-sided"),
+            ("ours", "relational-two-sided"),
+            ("ours, blocks anywhere", "relational-anywhere"),
+        ),
+        levels=ROBOT_LEVELS["two"],
+    ),
+    Curves(
+        "robot-four-sided",
+        "Four sides with a robot (kinematic cell)",
+        (
+            ("DQN, paper's schedule", "robot-four-sided-paper"),
+            ("DQN, our schedule", "robot-four-sided"),
+            ("ours", "relational-four-sided"),
+        ),
+        levels=ROBOT_LEVELS["four"],
+    ),
+    Curves(
+        "robot-objects",
+        "Several objects with a robot (kinematic cell)",
+        (
+            ("DQN, paper's schedule", "robot-objects-paper"),
+            ("DQN, our schedule", "robot-objects"),
+            ("ours", "relational-robot-objects"),
+        ),
+        "The paper's training took place in the authors' fast mode.",
+        levels=ROBOT_LEVELS["objects"],
+    ),
+    Curves(
+        "robot-one-sided",
+        "One side with a robot (kinematic cell)",
+        (
+            ("DQN, paper's schedule", "robot-one-sided-paper"),
+            ("DQN, our schedule", "robot-one-sided"),
+            ("ours", "relational-one-sided"),
+        ),
+        levels=ROBOT_LEVELS["one"],
+    ),
 )
 FIGURES: dict[str, Curves] = {figure.name: figure for figure in _ALL}
 
@@ -150,6 +195,29 @@ def time_to(figure: Curves, runs: Path) -> list[Reached]:
             reached = int(np.isfinite(first[:, 0]).sum())
             out.append(Reached(label, level, len(logs), reached, samples, seconds))
     return out
+
+
+def costs_told(runs: Path) -> list[str]:
+    """What the trainings with a robot took, as a table of the documents; minutes are those of the
+    machine and of what went on beside them, so samples say more."""
+    told = [
+        "| task, R of the paper | training | agents | samples | minutes each | came to R | "
+        "samples to it | minutes to it |",
+        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |",
+    ]
+    for figure in FIGURES.values():
+        if figure.levels in ROBOT_LEVELS.values():
+            lines = zip(_logs(figure, runs), time_to(figure, runs), strict=True)
+            for (label, logs), reached in lines:
+                minutes = float(np.median([log["seconds"][-1] for log in logs])) / 60
+                first, spent = reached.samples[1], reached.seconds[1] / 60
+                came = (f"{first:,.0f}", f"{spent:.0f}") if np.isfinite(first) else ("–", "–")
+                told.append(
+                    f"| {figure.name}, {reached.level} | {label} | {len(logs)} | "
+                    f"{max(log['samples'][-1] for log in logs):,.0f} | {minutes:.0f} | "
+                    f"{reached.reached} | {came[0]} | {came[1]} |"
+                )
+    return told
 
 
 def _logs(figure: Curves, pack: Path) -> Iterator[tuple[str, list[dict[str, np.ndarray]]]]:
