@@ -10,6 +10,7 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from collections import defaultdict
 from functools import cache
 from pathlib import Path
@@ -37,6 +38,12 @@ LONG = {
 """Functions that have more arguments, and why."""
 SAME_NAMES: dict[str, str] = {}
 """Class names that are used twice in the product, and why."""
+LAX = {
+    "reportAttributeAccessIssue": "MuJoCo's specifications are half typed",
+    "reportMissingImports": "a driver that one system alone has",
+    "reportUnknownMemberType": "matplotlib names no types of its options",
+}
+"""Rules of pyright that a file may do without, and why."""
 
 
 @cache
@@ -107,6 +114,26 @@ def test_the_formatter_decides() -> None:
     assert len(texts) > 200
     assert sum(text.count(words) for text in texts) <= 20
     assert not any(off in text for text in texts)
+
+
+def test_every_room_is_checked_strictly() -> None:
+    said = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pyright"]
+    assert said["include"] == said["strict"] == ["src", "laboratory/src"]
+    assert not [key for key in said if key.startswith("report") or key in ("exclude", "ignore")]
+    texts = [path.read_text(encoding="utf-8") for path in trees()]
+    assert {word for text in texts for word in loosened(text)} == {f"{rule}=false" for rule in LAX}
+
+
+def loosened(text: str) -> list[str]:
+    """What the comments of a file allow in all of it, and comments that say no rule."""
+    unnamed = re.findall(r"# (?:type|pyright): ignore(?!\[)", text)
+    return unnamed + re.findall(r"^# pyright: (.*)", text, re.MULTILINE)
+
+
+def test_what_is_loosened_is_seen() -> None:
+    """The test above can fail."""
+    text = "# pyright: basic\na = 1  # pyright: ignore[reportX]\nb = 2  # type: ignore\n"
+    assert loosened(text) == ["# type: ignore", "basic"]
 
 
 def unsaid(report: dict) -> list[str]:

@@ -97,7 +97,7 @@ class ArmDistances:
             a, b = divmod(number, len(two.radius))
             if far[a, b] >= least:
                 break
-            pair = []
+            pair: list[Any] = []
             for solids, k in ((one, a), (two, b)):
                 solids.objects[k].setTransform(fcl.Transform(solids.turn[k], solids.place[k]))
                 pair.append(solids.objects[k])
@@ -175,7 +175,7 @@ def _library() -> Any:
         MissingExtraError: where it is not installed.
     """
     with extra("fcl", "distances"):
-        import fcl
+        import fcl  # pyright: ignore[reportMissingTypeStubs]
     return fcl
 
 
@@ -198,7 +198,7 @@ class WatchedCell(DynamicPlant):
 
     def _advance(self, moving: frozenset[int]) -> None:
         super()._advance(moving)
-        state, held = self.simulated, [self._carries(one.held()) for one in self.plants]
+        state, held = self.simulated, [self._off_its_place(one.held()) for one in self.plants]
         self.carried |= {name: self.things[name].kind.shape for name in held if name}
         self.moments.append(
             Moment(
@@ -207,7 +207,7 @@ class WatchedCell(DynamicPlant):
             )
         )
 
-    def _carries(self, name: str | None) -> str | None:
+    def _off_its_place(self, name: str | None) -> str | None:
         """What is held, but where it stands."""
         place = self.places.get(name or "")
         if name is None or place is None:
@@ -218,4 +218,4 @@ class WatchedCell(DynamicPlant):
         """The least distance of the arms at so many moments, all different, or at all of them."""
         number = min(count, len(self.moments))
         drawn = np.random.default_rng(seed).choice(len(self.moments), number, replace=False)
-        return ArmDistances(self.arms, self.carried).least([self.moments[k] for k in drawn])
+        return ArmDistances(self.arms, self.carried).least([self.moments[int(k)] for k in drawn])

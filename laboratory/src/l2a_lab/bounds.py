@@ -185,7 +185,7 @@ def _places(frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @kernel
-def has_ended(towers, heights):
+def has_ended(towers: Towers, heights: np.ndarray) -> bool:
     """Whether the episode is over: success, or no blocks left."""
     if heights.sum() >= towers.counts[3]:
         return True
@@ -201,7 +201,7 @@ def has_ended(towers, heights):
 
 
 @kernel
-def gains(towers, heights, n):
+def gains(towers: Towers, heights: np.ndarray, n: int) -> bool:
     """Whether one more block on tower ``n`` shows pixels that are not yet shown."""
     h = heights[n]
     new = towers.own[n, h + 1] - towers.own[n, h]
@@ -215,7 +215,7 @@ def gains(towers, heights, n):
 
 
 @kernel
-def is_in_reach(towers, heights, n):
+def is_in_reach(towers: Towers, heights: np.ndarray, n: int) -> bool:
     """Whether tower ``n`` can take a block: it stands already, or a neighbour does."""
     if heights[n] > 0:
         return True
@@ -277,7 +277,9 @@ def best_return(simulator: Simulator, state: State, row: int = 0) -> float:
 
 
 @kernel
-def sweep(towers, discount, free, toll, beyond, values):
+def sweep(
+    towers: Towers, discount: float, free: bool, toll: float, beyond: np.ndarray, values: np.ndarray
+) -> None:
     """Fill ``values`` (float64, index in mixed radix) from the highest structure down.
 
     ``free``: every place is in reach. ``toll`` > 0: a place out of reach may be used for that

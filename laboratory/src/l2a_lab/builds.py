@@ -42,7 +42,7 @@ from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.robot.arm import Arm, get_arm
-from learn2assemble.robot.bodies import solids
+from learn2assemble.robot.bodies import Solid, solids
 from learn2assemble.robot.moves import Scene
 from learn2assemble.simulation.cell import DynamicCell
 from learn2assemble.simulation.plant import DynamicPlant
@@ -381,7 +381,7 @@ def _gives(job: Job) -> float | None:
     )
     after, _ = _let_go(scene, job.arm)
     first = [[n for n, *_ in parts].index(k) for k in range(len(kept))]
-    bodies = []
+    bodies: list[list[Solid]] = []
     for row, piece in zip(first, kept, strict=True):
         turn = after.orientation[row]
         centre = quaternion_matrix(turn) @ np.array(piece.shape[0].centre)

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -127,7 +127,7 @@ def _slug(search: SearchConfig | None) -> str:
 
 
 def _changes(config: Any, default: Any, prefix: str) -> list[str]:
-    words = []
+    words: list[str] = []
     for f in dataclasses.fields(config):
         value, usual = getattr(config, f.name), getattr(default, f.name)
         if f.name in ("budget", "epsilon") or value == usual:
@@ -189,7 +189,7 @@ def make_cell_policy(cell: Cell, agent_file: str | None) -> Policy:
         config = NetworkConfig(
             width=8, heads=1, rounds=1, num_actions=task.num_actions, action_mode=task.action_mode
         )
-        torch.manual_seed(0)
+        torch.manual_seed(0)  # pyright: ignore[reportUnknownMemberType]
         network = QNetwork(config).eval()
     search = cell.search
     if cell.policy == FARTHER and search is not None:
@@ -280,7 +280,9 @@ class CellResult:
 
     def head(self, episodes: int) -> CellResult:
         """The first ``episodes`` of them."""
-        cut = {k: v[:episodes] if isinstance(v, list) else v for k, v in self.data.items()}
+        cut: dict[str, Any] = {
+            k: v[:episodes] if isinstance(v, list) else v for k, v in self.data.items()
+        }
         return CellResult(self.cell, self.agent_hash, {**cut, "episodes": episodes})
 
 
@@ -330,7 +332,7 @@ def _result(text: str) -> CellResult | None:
     if (data.pop("format"), data.pop("version")) != (FORMAT, VERSION):
         return None
     result = CellResult(Cell.from_dict(data.pop("cell")), data.pop("agent_hash"), data)
-    counts = {len(v) for v in data.values() if isinstance(v, list)}
+    counts = {len(cast("list[Any]", v)) for v in data.values() if isinstance(v, list)}
     return result if counts == {result.episodes} else None
 
 
@@ -346,7 +348,7 @@ def is_current(root: Path, cell: Cell, agent_hash: str | None, episodes: int) ->
 
 def measured_agents(root: Path, task: str) -> set[str]:
     """Names of the agents with results on ``task``."""
-    found, cells = set(), root / "cells"
+    found, cells = set[str](), root / "cells"
     for name in names(cells, task):
         result = read_result(cells / name)
         if result is not None and result.cell.agent:

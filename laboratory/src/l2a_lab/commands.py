@@ -8,7 +8,7 @@ import importlib
 import math
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from l2a_lab.builder.commands import COMMANDS as BUILDERS
 from l2a_lab.runs import RUNS, keep_runs, read_runs, runs_in, trained_agent
@@ -242,7 +242,7 @@ def _run_replay(options: argparse.Namespace, output: Output) -> None:
     from l2a_lab.replay import is_robot_line, replay_file, replay_robot_file
     from learn2assemble.tasks.physics.rigid import RigidPhysics
 
-    reports, robots = [], []
+    reports, robots = list[dict[str, Any]](), list[dict[str, Any]]()
     for path in options.files:
         output.progress(f"replaying {path.name}")
         reports.append(replay_file(path, RigidPhysics).to_dict())
@@ -326,7 +326,7 @@ def _run_fidelities(options: argparse.Namespace, output: Output) -> None:
             for one in result["fidelities"]
         ],
     )
-    outcomes: Counter[tuple[str, str]] = sum((one.outcomes for one in found), Counter())
+    outcomes = sum((one.outcomes for one in found), Counter[tuple[str, str]]())
     output.table(
         "outcomes",
         ("kinematic", "dynamic", "moves"),

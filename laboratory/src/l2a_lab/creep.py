@@ -17,6 +17,7 @@ import numpy as np
 from l2a_lab import shapes
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.kit import load_kit
+from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.read import read_design
 from learn2assemble.export.formats import mjcf
 from learn2assemble.planning.tiling.exact import plan_exact
@@ -43,8 +44,13 @@ class Case(NamedTuple):
 
 
 def _drawn(name: str) -> Callable[[], np.ndarray]:
-    path = Path("examples/designs") / name
-    return lambda: read_design(path, cell=load_kit("bricks-lintels").pitch).wanted
+    def make() -> np.ndarray:
+        path = Path("examples/designs") / name
+        design = read_design(path, cell=load_kit("bricks-lintels").pitch)
+        assert isinstance(design, CellDesign)
+        return design.wanted
+
+    return make
 
 
 CASES: dict[str, Case] = {

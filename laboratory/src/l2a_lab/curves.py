@@ -252,7 +252,7 @@ def read_log(runs: Mapping[str, Run], name: str) -> dict[str, np.ndarray]:
     Raises:
         InputError: for an entry that is none of a log.
     """
-    rows = []
+    rows: list[list[float]] = []
     for number, entry in enumerate(runs[name]["log"], 1):
         try:
             if "R" in entry:
@@ -268,8 +268,8 @@ def _average(label: str, logs: list[dict[str, np.ndarray]]) -> LearningCurve:
     """Mean, lowest and highest over seeds, on the samples that all of them have."""
     first = max(log["samples"][0] for log in logs)
     last = min(log["samples"][-1] for log in logs)
-    samples = np.linspace(first, max(first, last), POINTS)
-    mean, low, high = {}, {}, {}
+    samples = np.linspace(float(first), float(max(first, last)), POINTS)
+    mean, low, high = (dict[str, np.ndarray]() for _ in range(3))
     for key in QUANTITIES:
         lines = np.array([_smooth(np.interp(samples, g["samples"], g[key])) for g in logs])
         mean[key], low[key], high[key] = lines.mean(0), lines.min(0), lines.max(0)

@@ -134,7 +134,8 @@ def _planned(
 ) -> tuple[Tiling, Ordering | None, Result]:
     """Blocks and order of a design within ``SECONDS``, and what there is to say about them."""
     started = time.process_time()
-    tiling, ordering = plan_exact(wanted, kit, **{"seconds": SECONDS, **options})
+    options = {"seconds": SECONDS, **options}
+    tiling, ordering = plan_exact(wanted, kit, **options)
     seconds = time.process_time() - started
     count = Counter(block.prop for block in tiling.placements)
     bridged, total = seams_bridged(tiling, kit)
@@ -187,7 +188,7 @@ def least_props(wanted: np.ndarray, kit: Kit) -> int:
     least, carried = 0, found.support > 1e-9
     for z in range(wanted.shape[2]):
         level = found.origin[:, 2] == z
-        must = np.flatnonzero((wanted & (np.arange(wanted.shape[2]) == z)).reshape(-1))
+        must = np.flatnonzero(wanted & (np.arange(int(wanted.shape[2])) == z))
         good = found.take(np.flatnonzero(level & carried))
         filled = np.isin(must, good.cell).all()
         answer = (
@@ -225,7 +226,7 @@ def proof_entry(wanted: np.ndarray, kit: Kit) -> Result:
     rng = np.random.default_rng(SEED)
     count = len(ordering.steps)
     chosen = sorted({*rng.integers(1, count + 1, PREFIXES - 1).tolist(), count})
-    holds, moves = 0, []
+    holds, moves = 0, list[float]()
     for steps in chosen:
         present = np.zeros(len(assembly.blocks), bool)
         for step in ordering.steps[:steps]:

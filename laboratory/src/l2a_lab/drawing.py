@@ -1,5 +1,7 @@
 """Curves drawn into pictures."""
 
+# pyright: reportUnknownMemberType=false
+# (matplotlib names no types of its options)
 from __future__ import annotations
 
 import warnings

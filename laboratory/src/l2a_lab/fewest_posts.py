@@ -9,7 +9,7 @@ import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, Block, hull_block
 from learn2assemble.assembly.boxes import box_block
-from learn2assemble.assembly.contacts import find_contacts
+from learn2assemble.assembly.contacts import Contacts, find_contacts
 from learn2assemble.errors import InputError
 from learn2assemble.planning.clearance import LEVEL, Clearance, ways_out
 from learn2assemble.planning.posts import find_posts
@@ -37,7 +37,7 @@ def random_assembly(seed: int) -> Assembly:
 def _arch(voussoirs: int, rng: np.random.Generator) -> Assembly:
     radius, thickness = rng.uniform(0.2, 0.4), rng.uniform(0.09, 0.13)
     angles = np.linspace(0, np.pi, voussoirs + 1)
-    blocks = []
+    blocks: list[Block] = []
     for k in range(voussoirs):
         corners = [
             (r * np.cos(a), y, r * np.sin(a))
@@ -128,7 +128,7 @@ def fewest_posts(assembly: Assembly, most: int = MOST) -> int | None:
         return clearance.leaves(block, there, ways)
 
     goal, order = (1 << given) - 1, count()
-    queue, seen = [(0, 0, next(order), 0)], set()
+    queue, seen = [(0, 0, next(order), 0)], set[int]()
     while queue and len(seen) < most:
         used, _, _, state = heapq.heappop(queue)
         if state == goal:
@@ -155,10 +155,10 @@ def fewest_posts(assembly: Assembly, most: int = MOST) -> int | None:
     return None
 
 
-def _lies_on(joints, given: int) -> list[set[int]]:
+def _lies_on(joints: Contacts, given: int) -> list[set[int]]:
     found: list[set[int]] = [set() for _ in range(given)]
     for a, b, normal in zip(joints.a.tolist(), joints.b.tolist(), joints.normal, strict=True):
         if a >= 0 and b < given and abs(normal[2]) > SIDE:
             lower, upper = (a, b) if normal[2] > 0 else (b, a)
-            found[upper].add(lower)
+            found[int(upper)].add(lower)
     return found

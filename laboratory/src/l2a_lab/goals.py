@@ -76,7 +76,7 @@ def entry(name: str) -> Result:
         return {"status": "refused", "reason": str(error), "blocks": 0}
     planned = time.process_time() - started
     stages = plan.search.attempts if plan.search else ()
-    result = {
+    result: Result = {
         "status": plan.status,
         "reason": plan.reason,
         "blocks": plan.blocks.used,

@@ -34,43 +34,41 @@ class MeshCase(NamedTuple):
     """Asked, of the processor, from the file of the mesh to all files of the plan."""
 
 
+def _library() -> Any:
+    """:mod:`trimesh`, whose types are incomplete."""
+    import trimesh
+
+    return trimesh
+
+
 def ball() -> Any:
     """A ball of radius 1."""
-    from trimesh.creation import icosphere
-
-    return icosphere(subdivisions=4)
+    return _library().creation.icosphere(subdivisions=4)
 
 
 def ring() -> Any:
     """A torus that lies, of radii 1 and 0.42."""
-    from trimesh.creation import torus
-
-    return torus(1.0, 0.42, major_sections=96, minor_sections=48)
+    return _library().creation.torus(1.0, 0.42, major_sections=96, minor_sections=48)
 
 
 def jug() -> Any:
     """A jug with a belly, a neck, a spout and a handle: of one surface."""
-    from trimesh.boolean import union
-    from trimesh.creation import revolve, torus
-    from trimesh.transformations import rotation_matrix
-
+    library = _library()
     radius = [0.0, 0.62, 0.95, 1.08, 1.0, 0.74, 0.52, 0.46, 0.5, 0.62, 0.0]
     height = [0.0, 0.0, 0.35, 0.85, 1.3, 1.75, 2.0, 2.25, 2.5, 2.7, 2.7]
-    body = revolve(np.column_stack([radius, height]), sections=96)
-    handle = torus(0.55, 0.16, major_sections=64, minor_sections=24)
-    handle.apply_transform(rotation_matrix(np.pi / 2, (1, 0, 0)))
+    body = library.creation.revolve(np.column_stack([radius, height]), sections=96)
+    handle = library.creation.torus(0.55, 0.16, major_sections=64, minor_sections=24)
+    handle.apply_transform(library.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
     handle.apply_translation((0.85, 0.0, 1.8))
-    return union([body, handle])
+    return library.boolean.union([body, handle])
 
 
 def snail() -> Any:
     """A figure of our own: a snail, its shell of a coil that winds out, on a long foot."""
-    from trimesh.boolean import union
-    from trimesh.creation import box, icosphere, revolve
-    from trimesh.transformations import rotation_matrix
+    library = _library()
 
     def blob(at: tuple[float, float, float], size: tuple[float, float, float]) -> Any:
-        made = icosphere(subdivisions=3)
+        made = library.creation.icosphere(subdivisions=3)
         made.apply_scale(size)
         made.apply_translation(at)
         return made
@@ -84,16 +82,16 @@ def snail() -> Any:
         for t in turns
     ]
     foot = [blob((x, 0.0, 0.28), (0.5, 0.42, 0.28)) for x in np.linspace(-1.7, 1.5, 9)]
-    foot.append(box(bounds=[(-1.9, -0.4, 0.0), (1.7, 0.4, 0.3)]))
+    foot.append(library.creation.box(bounds=[(-1.9, -0.4, 0.0), (1.7, 0.4, 0.3)]))
     neck = [blob((1.5 + 0.12 * k, 0.0, 0.4 + 0.2 * k), (0.42, 0.36, 0.36)) for k in range(5)]
-    horn = revolve([(0.0, 0.0), (0.13, 0.0), (0.13, 0.5), (0.0, 0.5)], sections=24)
-    horns = []
+    horn = library.creation.revolve([(0.0, 0.0), (0.13, 0.0), (0.13, 0.5), (0.0, 0.5)], sections=24)
+    horns: list[Any] = []
     for side in (-1, 1):
         one = horn.copy()
-        one.apply_transform(rotation_matrix(0.25 * side, (1, 0, 0)))
+        one.apply_transform(library.transformations.rotation_matrix(0.25 * side, (1, 0, 0)))
         one.apply_translation((2.05, -0.16 * side, 1.3))
         horns.append(one)
-    return union([*coil, *foot, *neck, *horns])
+    return library.boolean.union([*coil, *foot, *neck, *horns])
 
 
 MESHES: dict[str, MeshCase] = {
@@ -162,7 +160,7 @@ def mesh_entry(name: str) -> Result:
 
 def mesh_rows(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
     """What was asked, and what was reached: (what, asked, got)."""
-    rows = []
+    rows: list[tuple[str, str, str]] = []
     for name, one in entries.items():
         got = (
             f"{one['seconds']:.1f} s, {one['status']}: {one['placed']} of {one['bricks']} bricks, "

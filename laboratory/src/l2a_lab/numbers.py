@@ -190,7 +190,7 @@ def _entry(
         state = NOT_TRAINED if row.agents else NOT_AVAILABLE
     elif not results:
         state = NOT_MEASURED
-    summaries = {}
+    summaries: dict[Condition, Summary] = {}
     for condition in table.conditions:
         good, base = (results or {}).get(condition), (reference or {}).get(condition)
         if good:
@@ -264,14 +264,14 @@ def _half_width(returns: list[np.ndarray], means: np.ndarray) -> float:
 
 def student(count: int) -> float:
     """97.5 % point of Student's t for the mean of ``count`` values, as tables print it."""
-    from scipy.special import stdtrit
+    from scipy.special import stdtrit  # pyright: ignore[reportMissingTypeStubs]
 
     return round(float(stdtrit(count - 1, 0.975)), 3)
 
 
 def _bounds(results: list[CellResult], root: Path) -> np.ndarray | None:
     """float64[A]: mean upper bound of the very problems that each agent played."""
-    means = []
+    means: list[float] = []
     for result in results:
         cell = Cell(result.cell.task, BOUND, seed=result.cell.seed)
         bound = read_result(root / cell.path) if has_bound(cell.task) else None

@@ -94,13 +94,13 @@ def gaining_poses(lattice: Lattice, inventory: Inventory, rotations: int = 4) ->
     Args:
         rotations: 4 for quarter turns about z, 1 where objects keep their attitude.
     """
-    row = {tuple(cell): n for n, cell in enumerate(lattice.cells.tolist())}
-    taken = set(map(tuple, lattice.taken.tolist()))
+    row = {(x, y, z): n for n, (x, y, z) in enumerate(lattice.cells.tolist())}
+    taken = {(x, y, z) for x, y, z in lattice.taken.tolist()}
     active = [cell for cell, n in row.items() if (lattice.shows[n] & ~lattice.hides[n]).any()]
-    poses = []
+    poses: list[ShapePose] = []
     for number, shape in enumerate(inventory.shapes):
         places = {
-            frozenset(map(tuple, (offsets + np.array(cell) - anchor).tolist()))
+            frozenset((x, y, z) for x, y, z in (offsets + np.array(cell) - anchor).tolist())
             for offsets in (turned(shape, turns) for turns in range(rotations))
             for cell in active
             for anchor in offsets
@@ -246,7 +246,7 @@ def object_return_bound(
 
 def state_lattice(state: State, row: int, frames: np.ndarray) -> Lattice:
     """Cells in and in front of the face planes, with the mask pixels still open on every side."""
-    cells, images = _cell_images(tuple(map(tuple, frames.tolist())))
+    cells, images = _cell_images(tuple(tuple(map(float, frame)) for frame in frames))
     open_pixels = state.mask[row] & ~state.covered[row]
     reached = (images[0] & open_pixels).any((-1, -2, -3))
     wanted = to_pixels(open_pixels)
@@ -287,5 +287,6 @@ def state_inventory(state: State, row: int, rotations: int = 4) -> Inventory:
         cells = position[number == name]
         shape = np.rint((cells - cells[0]) / EDGE).astype(np.int64)
         ways = [turned(shape, turns) for turns in range(rotations)]
-        found[min(tuple(sorted(map(tuple, (way - way.min(0)).tolist()))) for way in ways)] += 1
+        listed = [(way - way.min(0)).tolist() for way in ways]
+        found[min(tuple(sorted((x, y, z) for x, y, z in way)) for way in listed)] += 1
     return Inventory([np.array(shape) for shape in found], list(found.values()))

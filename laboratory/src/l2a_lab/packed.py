@@ -103,7 +103,7 @@ def write_pack(pack: Path, results: Mapping[str, Mapping[str, Any]]) -> None:
 
 @lru_cache(maxsize=8)
 def _read(pack: Path, _: int) -> dict[str, str]:
-    found = {}
+    found: dict[str, str] = {}
     for line in gzip.decompress(pack.read_bytes()).decode().splitlines():
         # The name is the first key; what it names is read when somebody asks for it.
         name = json.JSONDecoder().raw_decode(line, len('{"name": '))[0]

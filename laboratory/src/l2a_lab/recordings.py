@@ -137,7 +137,7 @@ class RecordedScene:
             raise ValueError(f"targets are not {sides} outlines of 3 to 5 vertices")
         blocks = len(line["placed"]) + len(line["unplaced"]) + 1
         self.state: State = empty_state(1, sides, max(map(len, targets)), blocks)
-        self.frames, self.mask_px = frames, []
+        self.frames, self.mask_px = frames, list[int]()
         for side, points in enumerate(targets):
             c, s, tx, ty = frames[side]
             world = np.asarray(points, float)

@@ -88,7 +88,7 @@ class ReplayReport:
     valid_static_firm: float = 1.0
     """``valid_static`` without them."""
     valid_rigid_firm: float | None = None
-    disagreements: list[dict[str, Any]] = field(default_factory=list)
+    disagreements: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
     """Per line and physics that differ in validity; ``why`` is the class of :func:`explain`."""
 
     def to_dict(self) -> dict[str, Any]:
@@ -177,7 +177,7 @@ def _replay_line(
     objects = log.placed_objects(problem) if several else None
     report.judged_lines += 1
     note = {name: line[name] for name in (("ep", "t") if robot else ("ep", "t", "accv"))}
-    speeds = [] if robot else line["accv_obj"]
+    speeds: list[float] = [] if robot else line["accv_obj"]
     outcome = _repeat(scene, line, unplaced, objects, StaticPhysics())
     if real:
         report.real_lines += 1
@@ -319,9 +319,9 @@ class RobotReport:
     same_class: int = 0
     """Also in the reason."""
     rule: int = 0
-    classes: dict[str, list[int]] = field(default_factory=dict)
+    classes: dict[str, list[int]] = field(default_factory=dict[str, list[int]])
     """Per recorded reason: lines, and those that agree on success or failure."""
-    disagreements: list[dict[str, Any]] = field(default_factory=list)
+    disagreements: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
     """Lines that differ on success or failure, with both reasons."""
 
     @property
@@ -390,7 +390,8 @@ def recorded_order(line: Line, log: Log) -> ReplayOrder:
     relation = line["place_dir"]
     step = task.pitch * DIRECTIONS[relation] if relation else np.array([0.0, 0.0, EDGE])
     target = placed[line["ref"]] + step + [0.0, 0.0, level]
-    pair = get_grasps("paper")[line["grasp_variant"]]
+    variant: int = line["grasp_variant"]
+    pair = get_grasps("paper")[variant]
     scene = Scene(np.vstack([placed, waiting]), np.zeros(len(number)), number, count)
     if not (0 <= line["blk"] < len(waiting) and len(number) <= MAX_CELLS):
         raise ValueError(f"blk is {line['blk']!r} of {len(waiting)}")

@@ -109,7 +109,7 @@ class LegacyModel:
 
 
 @kernel
-def _take_apart(state, rebuilt, pitch, fell):
+def _take_apart(state: State, rebuilt: np.ndarray, pitch: float, fell: np.ndarray) -> None:
     """Fault (c) on the rows ``rebuilt``; sets ``fell`` where a placed cell then hangs."""
     for row in range(len(rebuilt)):
         if not rebuilt[row]:

@@ -180,7 +180,7 @@ def _believed(rng: np.random.Generator, true: np.ndarray) -> np.ndarray:
 
 def _poses(shape: Shape, scene: Scene, cameras: tuple[DepthCamera, ...]) -> Result:
     """Errors of one block in many scenes."""
-    far, turned, spread, seconds = [], [], [], []
+    far, turned, spread, seconds = (list[float]() for _ in range(4))
     for seed in range(SAMPLES):
         rng = np.random.default_rng(seed)
         true, others = scene(rng, shape)
@@ -209,7 +209,7 @@ def _poses(shape: Shape, scene: Scene, cameras: tuple[DepthCamera, ...]) -> Resu
 
 def _wall(count: int) -> list[tuple[Shape, np.ndarray]]:
     """Bricks in rows of five, two deep."""
-    found = []
+    found: list[tuple[Shape, np.ndarray]] = []
     for k in range(count):
         layer, place = divmod(k, 10)
         x, y = 0.0801 * (place % 5 - 2), 0.0401 * (place // 5)
@@ -219,7 +219,7 @@ def _wall(count: int) -> list[tuple[Shape, np.ndarray]]:
 
 def _lost(cameras: tuple[DepthCamera, ...]) -> Result:
     """Two bricks somewhere before a wall of 20, every second time one of them on its side."""
-    hits, wrong, seconds = 0, 0, []
+    hits, wrong, seconds = 0, 0, list[float]()
     for seed in range(SAMPLES // 2):
         rng = np.random.default_rng(seed)
         places = [
@@ -249,7 +249,8 @@ def _lost(cameras: tuple[DepthCamera, ...]) -> Result:
 
 def _look(count: int, cameras: tuple[DepthCamera, ...]) -> Result:
     """Seconds of the processor for a look at a wall: pictures (simulated), and poses."""
-    wall, rng, shots, poses, seen = _wall(count), np.random.default_rng(0), [], [], 0
+    wall, rng, seen = _wall(count), np.random.default_rng(0), 0
+    shots, poses = list[float](), list[float]()
     devices = _looks(cameras, 0)
     for _ in range(6):
         solids = still_scene(wall)
@@ -272,7 +273,7 @@ def _look(count: int, cameras: tuple[DepthCamera, ...]) -> Result:
 
 def off_cameras(seed: int, cameras: Sequence[DepthCamera]) -> list[SimulatedCamera]:
     """Cameras that truly are 3 mm and 1 degree from where they are taken to be, somewhere."""
-    rng, devices = np.random.default_rng(seed), []
+    rng, devices = np.random.default_rng(seed), list[SimulatedCamera]()
     for k, one in enumerate(cameras):
         shift, axis = rng.normal(size=3), rng.normal(size=3)
         error = [*(OFF * shift / np.linalg.norm(shift)), *(OFF_TURN * axis / np.linalg.norm(axis))]
@@ -295,7 +296,7 @@ def calibration(
         places: of the bricks [m].
         seed: of how exactly the arm puts them down.
     """
-    rng, readings = np.random.default_rng([seed, 1]), []
+    rng, readings = np.random.default_rng([seed, 1]), list[Sighting]()
     base = np.array([0.0, -0.5, 0.0, *yaw_quaternion(math.pi / 2)])
     # A camera that is off sees the table lean; that comes first.
     empty = still_scene([])
@@ -355,7 +356,7 @@ def wrong(told: Sequence[DepthCamera], devices: Sequence[SimulatedCamera]) -> fl
 
 def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
     """What was asked, and what was reached: (what, asked, got)."""
-    rows = []
+    rows: list[tuple[str, str, str]] = []
     asked = {
         "alone": "0.7 mm, 0.5 degrees (median)",
         "pile": "1.5 mm (median)",

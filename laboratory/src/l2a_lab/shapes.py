@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -141,11 +142,12 @@ def blob(seed: int, n: int, balls: int) -> Cells:
 
 def grounded(cells: Cells) -> Cells:
     """The part that hangs together with the lowest level, moved down to the table."""
-    from scipy import ndimage
+    from scipy import ndimage  # pyright: ignore[reportMissingTypeStubs]
 
     cells = cells[:, :, np.flatnonzero(cells.any((0, 1)))[0] :]
     parts = np.zeros(cells.shape, np.int32)
-    ndimage.label(cells, output=parts)
+    library: Any = ndimage
+    library.label(cells, output=parts)
     return cells & np.isin(parts, parts[:, :, 0])
 
 

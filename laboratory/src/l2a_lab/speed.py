@@ -40,12 +40,12 @@ def _vector(seconds: float) -> float:
     """Our native vector environment with the default information."""
     envs = AssemblyVectorEnv(TASK, BATCH)
     rng = np.random.default_rng(0)
-    _, infos = envs.reset(seed=0)
+    infos: dict[str, Any] = envs.reset(seed=0)[1]
 
     def step() -> int:
         nonlocal infos
-        draws = rng.random(infos["action_masks"].shape, np.float32)
-        actions = np.argmax(draws * infos["action_masks"], 1)
+        allowed: np.ndarray = infos["action_masks"]
+        actions = np.argmax(rng.random(allowed.shape, np.float32) * allowed, 1)
         *_, infos = envs.step(actions)
         return BATCH
 

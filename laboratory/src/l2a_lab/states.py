@@ -108,7 +108,7 @@ def largest_moves(
         seconds: of every simulation.
         most: how many states are looked at, evenly spread, the last one among them; all by default.
     """
-    states = list(states_of(assembly))
+    states: list[Assembly] = list(states_of(assembly))
     if most is not None and len(states) > most:
         chosen = np.linspace(0, len(states) - 1, most).round().astype(int)
         states = [states[k] for k in chosen.tolist()]

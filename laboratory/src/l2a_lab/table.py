@@ -79,7 +79,7 @@ class Column:
 
     task: str
     star: bool = False
-    paper: dict[str, str] = field(default_factory=dict)
+    paper: dict[str, str] = field(default_factory=dict[str, str])
     arm: str = ""
 
     @property
@@ -117,7 +117,7 @@ class Row:
     budget: int = 0
     rollout: int = 1
     distinct: bool = False
-    paper: dict[str, str] = field(default_factory=dict)
+    paper: dict[str, str] = field(default_factory=dict[str, str])
     help: str = ""
     policy: str = AGENT
     kind: str = METHOD
@@ -174,7 +174,7 @@ class Table:
     title: str
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
-    paper: dict[str, str] = field(default_factory=dict)
+    paper: dict[str, str] = field(default_factory=dict[str, str])
     conditions: tuple[Condition, ...] = CONDITIONS
     other_discount: float | None = None
     notes: tuple[str, ...] = ()

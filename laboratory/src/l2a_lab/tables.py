@@ -47,7 +47,7 @@ _SCHEDULES = (
 
 def _budget(budget: int, rollout: int = 1, learners: Iterable[str] = _LEARNERS) -> tuple[Row, ...]:
     """The published learners with one budget of search."""
-    rows = []
+    rows: list[Row] = []
     depth = "none" if not budget else "1" if rollout == 1 else "to_termination"
     for learner in learners:
         agents, search = _LEARNERS[learner]
@@ -135,7 +135,7 @@ def _columns(
     kind: str, *sizes: str, star: bool = True, suffix: str = "", objects: str = ""
 ) -> tuple[Column, ...]:
     """Tasks of a kind by grid and blocks; the agents were trained on the first of them, or not."""
-    found = []
+    found: list[Column] = []
     for size in sizes:
         grid, _, blocks = size.partition("-")
         paper = {"grid": grid, "blocks": blocks, **({"objects": objects} if objects else {})}

@@ -26,9 +26,9 @@ import numpy as np
 
 from l2a_lab.measured import Figures, Result
 from l2a_lab.sensing import FINE, calibration, camera, off_cameras
-from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.boxes import box_block
-from learn2assemble.assembly.kit import load_kit
+from learn2assemble.assembly.kit import Kind, Kit, load_kit
 from learn2assemble.cell.belief import step_between
 from learn2assemble.cell.carry_out import Workcell, carry_out
 from learn2assemble.cell.pieces import Pose
@@ -181,7 +181,7 @@ def product_of(task: Task) -> Assembly:
         k.name: (kit.density if k.density is None else k.density) * _volume(k, kit)
         for k in kit.kinds
     }
-    blocks = []
+    blocks: list[Block] = []
     for brick in task.bricks:
         a, b, kind = TYPES[brick.kind]
         quarters = brick.yaw / 90
@@ -200,7 +200,7 @@ def product_of(task: Task) -> Assembly:
     return Assembly(tuple(blocks), (), kit.friction, f"task {task.name}", joint=joint)
 
 
-def _volume(kind: Any, kit: Any) -> float:
+def _volume(kind: Kind, kit: Kit) -> float:
     return float(len(kind.cells) * np.prod(kit.pitch))
 
 
@@ -294,7 +294,7 @@ def figures(path: Path, physics: str, state: str = "known") -> Figures:
     """The tasks of a file as measurements."""
     tasks = read_tasks(path)
     joint = replace(load_kit(KIT).joint, pitch=(PITCH, LAYER))
-    about = {
+    about: Result = {
         "state": state,
         "physics": physics,
         "arm": ARM,

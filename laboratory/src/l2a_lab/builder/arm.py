@@ -67,16 +67,16 @@ class Hand:
             InputError: where none is left.
         """
         arm = get_arm(self.workcell.arm, self.workcell.tool)
-        held = []
-        for kind, piece in zip(
-            kit.kinds, _pieces(kit, [(k.name, 0) for k in kit.kinds]), strict=True
-        ):
-            if why_not_turned(arm, piece) is None:
-                held.append(kind)
+        pieces = _pieces(kit, [(kind.name, 0) for kind in kit.kinds])
+        held = tuple(
+            kind
+            for kind, piece in zip(kit.kinds, pieces, strict=True)
+            if why_not_turned(arm, piece) is None
+        )
         if not held:
             what = f"tool {arm.tool_name}"
             raise InputError(what, f"nothing of kit {kit.name}", "blocks that it can hold")
-        return replace(kit, kinds=tuple(held))
+        return replace(kit, kinds=held)
 
     def set_up(self, world: LatticeWorld, turn: int = 0) -> Kit:
         """Place base and magazines for what stands in ``world``.
@@ -113,7 +113,7 @@ class Hand:
             arm = self.job.arm
             facing = float(arm.base_yaw - get_arm(at.arm).base_yaw)
             self._base = (*arm.base_position.tolist(), facing)
-        used = set(site.kind[world.placed].tolist())
+        used: set[int] = set(site.kind[world.placed].tolist())
         return replace(site.kit, kinds=tuple(site.kit.kinds[k] for k in sorted(used)))
 
     def enter(self, site: LatticeSite) -> None:
@@ -165,7 +165,7 @@ class Hand:
         way = int(found.way[candidate])
         piece, offset = self.pieces[way], found.origin[candidate] * kit.pitch
         goal = np.array([*(piece.target + offset), *piece.pose[3:]])
-        used = Counter(self.pieces[w].shape for w in found.way[world.placed].tolist())
+        used = Counter(self.pieces[int(w)].shape for w in found.way[world.placed].tolist())
         sources, others = self._supply(used, piece.shape)
         self.tried += 1
         touched: set[int] = set()
@@ -190,7 +190,7 @@ class Hand:
         What lies on the table is taken in the order of the layout, before magazines.
         """
         assert self.job is not None
-        magazines, lying, others = [], [], []
+        magazines, lying, others = list[int](), list[int](), list[_Box]()
         seen: Counter[Shape] = Counter()
         for number, source in enumerate(self.job.sources):
             if source.magazine:
@@ -212,7 +212,9 @@ class Hand:
         ways = found.way[standing]
         count = self.count[ways]
         number = np.repeat(np.arange(len(standing)), count)
-        row = np.arange(count.sum()) + np.repeat(self.first[ways] - np.cumsum(count) + count, count)
+        row = np.arange(int(count.sum())) + np.repeat(
+            self.first[ways] - np.cumsum(count) + count, count
+        )
         built = [column[row] for column in self.parts]
         built[0] = built[0] + found.origin[standing][number] * self.site.kit.pitch
         before, after = _columns(others), _columns(mine)

@@ -128,7 +128,7 @@ def measure(
 def _play(
     designs: list[Solved], builder: Builder | None, budget: int, what: str, progress: Progress
 ) -> dict[str, Any]:
-    complete, ratio, expanded, seconds, decisions = [], [], [], [], []
+    complete, ratio, expanded, seconds, decisions = (list[float]() for _ in range(5))
     failed: Counter[str] = Counter()
     repairs = 0
     for k, design in enumerate(designs):
@@ -237,7 +237,7 @@ def measure_examples(
     builder: Builder, folder: Path, progress: Progress = lambda text: None
 ) -> dict[str, Any]:
     """Agent with search and exact planner on the examples and the hand-drawn designs."""
-    rows = {}
+    rows: dict[str, Any] = {}
     for name, (wanted, kit) in example_designs(folder).items():
         progress(f"example {name}")
         started = perf_counter()

@@ -33,7 +33,7 @@ class Builder:
     name: str
     weights: dict[str, np.ndarray]
     """float32, by name."""
-    origin: dict[str, Any] = field(default_factory=dict)
+    origin: dict[str, Any] = field(default_factory=dict[str, Any])
     """Configuration of the training, seed, samples, seconds, commit, hardware."""
 
     def scores(self, candidates: np.ndarray, summary: np.ndarray) -> np.ndarray:
@@ -135,7 +135,7 @@ def load_builder(name_or_path: str | Path = DEFAULT) -> Builder:
     """
     with extra("safetensors", "learn"):
         from safetensors import SafetensorError
-        from safetensors.numpy import load_file
+        from safetensors.numpy import load_file  # pyright: ignore[reportUnknownVariableType]
 
     path = _weights(name_or_path)
     if path != Path(name_or_path):

@@ -65,10 +65,10 @@ class Problem:
             count: int64[P]: how many of them each has.
         """
         at, shape = cells - self.corner, self.site.wanted.shape
-        used = np.arange(cells.shape[1]) < count[:, None]
+        used = np.arange(int(cells.shape[1])) < count[:, None]
         inside = (((at >= 0) & (at < shape)).all(-1) | ~used).all(1)
         flat = (np.clip(at, 0, np.array(shape) - 1) * self.strides).sum(-1)
-        key = np.where(used, self.names[flat], 0).sum(1, dtype=np.uint64)
+        key: np.ndarray = np.where(used, self.names[flat], 0).sum(1, dtype=np.uint64)
         place = np.minimum(np.searchsorted(self.known, key), len(self.known) - 1)
         return np.where(inside & (self.known[place] == key), self.candidate[place], -1)
 
@@ -90,7 +90,7 @@ def _objects(state: State, row: int, blocks: int) -> tuple[np.ndarray, np.ndarra
     ids = state.object_id[row, :blocks]
     first = np.append(0, np.flatnonzero(ids[1:] != ids[:-1]) + 1)
     count = np.append(first[1:], blocks) - first
-    return first[:, None] + np.minimum(np.arange(count.max()), count[:, None] - 1), count
+    return first[:, None] + np.minimum(np.arange(int(count.max())), count[:, None] - 1), count
 
 
 def make_problem(simulator: Simulator, state: State, row: int) -> Problem:
@@ -110,7 +110,7 @@ def make_problem(simulator: Simulator, state: State, row: int) -> Problem:
         # From the middle on, where the first block stands, what is between is passed.
         used = np.append(np.flatnonzero(high), MAX_COLUMN)
         for column in range(used.min(), used.max() + 1):
-            z = HALF + EDGE * np.arange(max(high[column], 1))
+            z = HALF + EDGE * np.arange(max(int(high[column]), 1))
             cells.append(_lattice(to_world(frame, columns[column] + 0 * z, 0 * z, z)))
     places = np.concatenate(cells)
     corner = places.min(0)
@@ -147,7 +147,7 @@ class TaskModel(WorldModel):
         self._problems: OrderedDict[bytes, Problem] = OrderedDict()
 
     def action_values(self, states: State) -> list[ActionValues]:
-        simulator, found = self.simulator, []
+        simulator, found = self.simulator, list[ActionValues]()
         graph = simulator.observe(states)
         placements = distinct_placements(graph, simulator.action_spec)
         outcomes, offset = simulator.outcomes(states, graph, placements), node_offset(graph)
@@ -160,7 +160,7 @@ class TaskModel(WorldModel):
             values = outcomes.reward[row, :count].astype(np.float64)
             inside = valid & (candidate >= 0)
             # Where there is neither, what holds; else the first placement, which fails.
-            choices = (inside | (values > 0), valid, np.arange(count) == 0)
+            choices = (inside | (values > 0), valid, np.arange(int(count)) == 0)
             chosen = np.flatnonzero(next(choice for choice in choices if choice.any()))
             if inside.any():
                 world = self.standing(states, row)

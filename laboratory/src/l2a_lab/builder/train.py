@@ -19,6 +19,7 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -36,6 +37,9 @@ from learn2assemble.planning.tiling.world import LatticeSite, LatticeWorld
 from learn2assemble.tasks.design_features import NUM_SUMMARY, describe, mirrored
 from learn2assemble.tasks.designs import Solved, make_design
 from learn2assemble.tasks.task import DESIGN_TASKS
+
+if TYPE_CHECKING:
+    import torch
 
 TEACHERS = ("exact", "search")
 
@@ -270,12 +274,12 @@ def train(
             owed -= 1
             for group in optimiser.param_groups:
                 group["lr"] = config.rate * 0.1 ** min(elapsed(), 1.0)
-            picked = [memory[k] for k in rng.integers(len(memory), size=config.batch)]
+            picked = [memory[int(k)] for k in rng.integers(len(memory), size=config.batch)]
             loss, right = _loss(weights, picked, rng)
             optimiser.zero_grad()
-            loss.backward()
+            loss.backward()  # pyright: ignore[reportUnknownMemberType]
             torch.nn.utils.clip_grad_norm_(list(weights.values()), 1.0)
-            optimiser.step()
+            optimiser.step()  # pyright: ignore[reportUnknownMemberType]
             steps += 1
             figures += (float(loss.detach()), right)
             if steps % 200 == 0:
@@ -310,9 +314,13 @@ def _solution(solved: Solved) -> np.ndarray:
     return target
 
 
-def _loss(weights, picked: list[_Sample], rng: np.random.Generator):
+def _loss(
+    weights: dict[str, torch.Tensor], picked: list[_Sample], rng: np.random.Generator
+) -> tuple[torch.Tensor, float]:
     """Loss of a batch, and the share of right choices."""
     import torch
+
+    from learn2assemble.tasks.graph.batch import tensor_of
 
     most = max(len(sample.right) for sample in picked)
     features = np.zeros((len(picked), most, picked[0].features.shape[1]), np.float32)
@@ -324,8 +332,8 @@ def _loss(weights, picked: list[_Sample], rng: np.random.Generator):
         flips = rng.random(2) < 0.5
         features[k, :count] = mirrored(sample.features, bool(flips[0]), bool(flips[1]))
         right[k, :count], mask[k, :count], summary[k, 0] = sample.right, 1, sample.summary
-    logits = forward(weights, torch.from_numpy(features), torch.from_numpy(summary))
-    there, wanted = torch.from_numpy(mask), torch.from_numpy(right)
+    logits = forward(weights, tensor_of(features), tensor_of(summary))
+    there, wanted = tensor_of(mask), tensor_of(right)
     logits = logits.masked_fill(there == 0, -1e9)
     good = logits.masked_fill(~wanted, -1e9)
     policy = (logits.logsumexp(1) - good.logsumexp(1)).mean()

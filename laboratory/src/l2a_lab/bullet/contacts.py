@@ -33,7 +33,7 @@ REST = 10
 
 
 @kernel
-def wake(still, touching, held):
+def wake(still: np.ndarray, touching: np.ndarray, held: int) -> np.ndarray:
     """bool[b]: bodies that are in motion, held or touched by what is.
 
     Args:
@@ -60,7 +60,7 @@ def wake(still, touching, held):
 
 
 @kernel
-def accelerate(twist, awake, timestep):
+def accelerate(twist: np.ndarray, awake: np.ndarray, timestep: float) -> None:
     """Gravity and drag, on twists float64[b, 6] (velocity of the centre of mass, spin), in
     place."""
     for b in range(FIRST, len(awake)):
@@ -85,7 +85,9 @@ def turned_inertia(rotation: np.ndarray, inertia: np.ndarray, out: np.ndarray) -
 
 
 @kernel
-def inverse_mass_matrix(inverse_mass, inverse_inertia, rotation, awake):
+def inverse_mass_matrix(
+    inverse_mass: np.ndarray, inverse_inertia: np.ndarray, rotation: np.ndarray, awake: np.ndarray
+) -> np.ndarray:
     """float64[b, 6, 6]: twist per impulse at the centre of mass; 0 for what is not awake.
 
     Args:
@@ -103,7 +105,14 @@ def inverse_mass_matrix(inverse_mass, inverse_inertia, rotation, awake):
 
 
 @kernel
-def integrate(position, quaternion, twist, awake, still, timestep):
+def integrate(
+    position: np.ndarray,
+    quaternion: np.ndarray,
+    twist: np.ndarray,
+    awake: np.ndarray,
+    still: np.ndarray,
+    timestep: float,
+) -> None:
     """Poses and stillness after a step, in place."""
     for b in range(FIRST, len(awake)):
         if not awake[b]:
@@ -141,7 +150,7 @@ class Manifolds(NamedTuple):
     """int64[g, g]: row of a pair (first shape, second shape) below, or -1."""
     pair: np.ndarray
     """int64[m, 2]: shapes."""
-    count: np.ndarray
+    count: np.ndarray  # pyright: ignore[reportIncompatibleMethodOverride]
     """int64[m]."""
     one: np.ndarray
     """float64[m, 4, 3]: the point in the frame of the first shape's body [m]."""
@@ -170,7 +179,7 @@ def empty_manifolds(shapes: int, pairs: int) -> Manifolds:
 
 
 @kernel
-def _local(point, position, rotation, out):
+def _local(point: np.ndarray, position: np.ndarray, rotation: np.ndarray, out: np.ndarray) -> None:
     for i in range(3):
         out[i] = 0.0
         for k in range(3):
@@ -178,7 +187,7 @@ def _local(point, position, rotation, out):
 
 
 @kernel
-def _world(point, position, rotation, out):
+def _world(point: np.ndarray, position: np.ndarray, rotation: np.ndarray, out: np.ndarray) -> None:
     for i in range(3):
         out[i] = position[i]
         for k in range(3):
@@ -186,7 +195,7 @@ def _world(point, position, rotation, out):
 
 
 @kernel
-def _cross_size(a, b, c, d):
+def _cross_size(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> float:
     """Squared length of (a - b) x (c - d)."""
     ax, ay, az = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     bx, by, bz = c[0] - d[0], c[1] - d[1], c[2] - d[2]
@@ -195,7 +204,9 @@ def _cross_size(a, b, c, d):
 
 
 @kernel
-def _place_for(one, distance, count, point, depth):
+def _place_for(
+    one: np.ndarray, distance: np.ndarray, count: int, point: np.ndarray, depth: float
+) -> int:
     """Which point a new one takes the place of: one that is near, a free one, or the one whose
     loss costs least area, but never the deepest."""
     best, nearest = -1, BREAKING**2
@@ -226,7 +237,17 @@ def _place_for(one, distance, count, point, depth):
 
 
 @kernel
-def update_manifolds(m, step, shapes, body, point, normal, distance, position, rotation):
+def update_manifolds(
+    m: Manifolds,
+    step: int,
+    shapes: np.ndarray,
+    body: np.ndarray,
+    point: np.ndarray,
+    normal: np.ndarray,
+    distance: np.ndarray,
+    position: np.ndarray,
+    rotation: np.ndarray,
+) -> None:
     """Bring the manifolds up to date with the contacts found in this step.
 
     Args:
@@ -288,7 +309,7 @@ def update_manifolds(m, step, shapes, body, point, normal, distance, position, r
 
 
 @kernel
-def touching_bodies(m, body):
+def touching_bodies(m: Manifolds, body: np.ndarray) -> np.ndarray:
     """int64[k, 2]: bodies of every pair."""
     rows = np.flatnonzero(m.pair[:, 0] >= 0)
     out = np.empty((len(rows), 2), np.int64)
@@ -298,7 +319,9 @@ def touching_bodies(m, body):
 
 
 @kernel
-def contact_points(m, body, position, rotation, awake):
+def contact_points(
+    m: Manifolds, body: np.ndarray, position: np.ndarray, rotation: np.ndarray, awake: np.ndarray
+) -> ContactPoints:
     """The contacts of bodies that are awake, bool[b], the youngest pairs first, as
     :class:`ContactPoints`."""
     rows = np.flatnonzero(m.pair[:, 0] >= 0)

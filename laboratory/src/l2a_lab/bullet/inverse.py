@@ -16,6 +16,7 @@ from learn2assemble.robot.inverse import (
     Solution,
 )
 from learn2assemble.robot.kinematics import (
+    Chain,
     factorise,
     fill_gram,
     fill_jacobian,
@@ -55,7 +56,15 @@ def solve_as_published(
 
 
 @kernel
-def _least_squares(chain, target_position, target_rotation, rows, tolerance, max_iterations, q):
+def _least_squares(
+    chain: Chain,
+    target_position: np.ndarray,
+    target_rotation: np.ndarray,
+    rows: int,
+    tolerance: float,
+    max_iterations: int,
+    q: np.ndarray,
+) -> tuple[int, float, int]:
     """The solver of the released code, improving q in place, without joint limits.
 
     error = log6(T_target^-1 T(q)), dq = -0.1 J^T (J J^T + 1e-12 I)^-1 error with J in the tool's
@@ -106,7 +115,7 @@ def _least_squares(chain, target_position, target_rotation, rows, tolerance, max
 
 
 @kernel
-def logarithm(position, rotation, out):
+def logarithm(position: np.ndarray, rotation: np.ndarray, out: np.ndarray) -> None:
     """log6 of a rigid transform: out[:3] translation part [m], out[3:] rotation vector [rad]."""
     rotation_vector(np.eye(3), rotation, out[3:])
     x, y, z = out[3], out[4], out[5]

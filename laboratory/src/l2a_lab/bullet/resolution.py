@@ -81,7 +81,7 @@ class HandHold(NamedTuple):
 
 
 @kernel
-def _dot(a, i, b, j):
+def _dot(a: np.ndarray, i: int, b: np.ndarray, j: int) -> float:
     """Of row i of float64[r, 6] and row j of another; written out, as all sweeps are made of it."""
     return (
         a[i, 0] * b[j, 0]
@@ -94,7 +94,7 @@ def _dot(a, i, b, j):
 
 
 @kernel
-def _add(a, i, factor, b, j):
+def _add(a: np.ndarray, i: int, factor: float, b: np.ndarray, j: int) -> None:
     """To row i of float64[r, 6] a multiple of row j of another."""
     a[i, 0] += factor * b[j, 0]
     a[i, 1] += factor * b[j, 1]
@@ -105,13 +105,13 @@ def _add(a, i, factor, b, j):
 
 
 @kernel
-def _add_rates(rates, factor, reach, row):
+def _add_rates(rates: np.ndarray, factor: float, reach: np.ndarray, row: int) -> None:
     for i in range(rates.shape[0]):
         rates[i] += factor * reach[row, i]
 
 
 @kernel
-def _times(matrix, vector, out):
+def _times(matrix: np.ndarray, vector: np.ndarray, out: np.ndarray) -> None:
     """Small products without a call of BLAS, which takes longer than they do."""
     for i in range(matrix.shape[0]):
         total = 0.0
@@ -121,7 +121,9 @@ def _times(matrix, vector, out):
 
 
 @kernel
-def _wrench(direction, point, centre, sign, out):
+def _wrench(
+    direction: np.ndarray, point: np.ndarray, centre: np.ndarray, sign: float, out: np.ndarray
+) -> None:
     """float64[6]: impulse of size ``sign`` along a direction at a point, about a centre."""
     x, y, z = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
     out[0], out[1], out[2] = sign * direction[0], sign * direction[1], sign * direction[2]
@@ -131,7 +133,16 @@ def _wrench(direction, point, centre, sign, out):
 
 
 @kernel
-def resolve(centre, twist, rates, inverse_mass, contacts, drive, hold, timestep):
+def resolve(
+    centre: np.ndarray,
+    twist: np.ndarray,
+    rates: np.ndarray,
+    inverse_mass: np.ndarray,
+    contacts: ContactPoints,
+    drive: Drive,
+    hold: HandHold,
+    timestep: float,
+) -> None:
     """Changes twists and rates in place.
 
     Args:
@@ -257,7 +268,17 @@ def resolve(centre, twist, rates, inverse_mass, contacts, drive, hold, timestep)
 
 
 @kernel
-def _apply(a, b, extra, effect_1, effect_2, reach, row, twist, rates):
+def _apply(
+    a: int,
+    b: int,
+    extra: float,
+    effect_1: np.ndarray,
+    effect_2: np.ndarray,
+    reach: np.ndarray,
+    row: int,
+    twist: np.ndarray,
+    rates: np.ndarray,
+) -> None:
     _add(twist, a, extra, effect_1, row)
     _add(twist, b, extra, effect_2, row)
     if a == HAND or b == HAND:
@@ -265,7 +286,7 @@ def _apply(a, b, extra, effect_1, effect_2, reach, row, twist, rates):
 
 
 @kernel
-def _goals(drive, timestep):
+def _goals(drive: Drive, timestep: float) -> tuple[np.ndarray, np.ndarray]:
     """What rates the motors and then the stops want, float64[2 n] [rad/s], and the impulse for a
     change of the rate of 1 rad/s; 0 for the stop of a joint that is within its limits."""
     n = len(drive.joints)

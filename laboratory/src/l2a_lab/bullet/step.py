@@ -90,7 +90,7 @@ class Motors(NamedTuple):
 
 
 @kernel
-def _cross(a, b, out):
+def _cross(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
     out[2] = a[0] * b[1] - a[1] * b[0]
@@ -200,7 +200,7 @@ def arm_dynamics(
 
 
 @kernel
-def _inverse(matrix, out):
+def _inverse(matrix: np.ndarray, out: np.ndarray) -> None:
     """Of a symmetric positive definite matrix, which is lost."""
     n = len(matrix)
     factorise(matrix, n)
@@ -211,7 +211,7 @@ def _inverse(matrix, out):
 
 
 @kernel
-def _as_quaternion(rotation, out):
+def _as_quaternion(rotation: np.ndarray, out: np.ndarray) -> None:
     """A quaternion of a rotation matrix, by its largest component."""
     x, y, z = rotation[0, 0], rotation[1, 1], rotation[2, 2]
     squares = (1 + x + y + z, 1 + x - y - z, 1 - x + y - z, 1 - x - y + z)
@@ -270,7 +270,7 @@ def fill_poses(bodies: Bodies, centre: np.ndarray, out: np.ndarray) -> None:
 
 
 @kernel
-def _hold(bodies, held):
+def _hold(bodies: Bodies, held: Held) -> HandHold:
     error, point = np.zeros(6), np.zeros(3)
     if held.body >= 0:
         rotation, hand = bodies.rotation[held.body], bodies.rotation[HAND]
@@ -357,7 +357,14 @@ def advance(
 
 
 @kernel
-def _find(manifolds, clock, found, body, bodies, skin):
+def _find(
+    manifolds: Manifolds,
+    clock: int,
+    found: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    body: np.ndarray,
+    bodies: Bodies,
+    skin: float,
+) -> None:
     """Bring the manifolds up to date with those contacts that are near."""
     geom, dist, pos, frame = found
     near = 0

@@ -109,9 +109,9 @@ def hand_parts(arm: Arm, opening: float) -> tuple[np.ndarray, ...]:
     mujoco.mj_kinematics(model, data)
     site = model.site(arm.tool).id
     origin, axes = data.site_xpos[site], data.site_xmat[site].reshape(3, 3)
-    parts = []
+    parts: list[np.ndarray] = []
     for name in (arm.gripper.hand, *arm.gripper.fingers):
-        corners = []
+        corners: list[np.ndarray] = []
         for geom in np.flatnonzero(model.geom_bodyid == model.body(name).id):
             if model.geom_group[geom] == PICTURE_GROUP:
                 mesh = model.geom_dataid[geom]
@@ -306,7 +306,7 @@ class BulletWorld:
 
     def _group(self, scene: Scene) -> tuple[tuple[Cells, ...], np.ndarray, np.ndarray]:
         """Objects sorted by shape, so that few sets are compiled; origins and yaws."""
-        groups = []
+        groups: list[tuple[Cells, np.ndarray, np.ndarray, np.ndarray, float]] = []
         for number in np.unique(scene.object_id):
             cells = np.flatnonzero(scene.object_id == number)
             axes = yaw_matrix(float(scene.yaw[cells[0]]))
@@ -315,7 +315,7 @@ class BulletWorld:
             origin = (scene.position[cells] - offset @ axes.T).mean(0)
             # Rounded again so that equal shapes are equal tuples.
             shape = tuple((float(x), float(y), float(z)) for x, y, z in offset.round(6) + 0.0)
-            groups.append((shape, cells, offset, origin, scene.yaw[cells[0]]))
+            groups.append((shape, cells, offset, origin, float(scene.yaw[cells[0]])))
         groups.sort(key=lambda group: (len(group[0]), group[0]))
         count = len(scene.position)
         self._body, self._offset = np.empty(count, np.int64), np.empty((count, 3))
