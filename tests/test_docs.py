@@ -12,6 +12,7 @@ import tomllib
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
+import markdown
 import numpy as np
 import pytest
 from PIL import Image
@@ -37,6 +38,7 @@ TINY = {
     "demonstrate": ["--episodes", "20"],
 }
 """Words that make a command small; later words win."""
+TABBED = {"pymdownx.tabbed": {"alternate_style": True}}
 TOO_LONG = (
     "--server",
     "fidelities",
@@ -197,6 +199,30 @@ def test_every_page_has_its_picture() -> None:
     shown = drawings.on_page_markdown("# Title\n\nText.\n", page, None, None)
     assert shown.startswith("# Title\n\n![Returns of five agents")
     assert "](../drawings/learning.svg)" in shown
+
+
+def test_conditions_of_a_table_are_tabs_on_the_site() -> None:
+    """One is seen at a time; a forge shows the same text as fold-outs."""
+    table = "| method | R |\n| --- | ---: |\n| DQN | 3.2 |"
+    opened, closed = (
+        f'<details markdown="1"{state}><summary>ε = {value}</summary>\n\n{table}\n\n</details>\n\n'
+        for state, value in ((" open", 0.05), ("", 0))
+    )
+    alone = f"# Tables\n\n### T1\n\n{opened}Between.\n\n### T2\n\n{closed}Behind.\n"
+    tabs = hook("tables").tabs
+    assert tabs(alone) == alone
+    inner = "\n".join(f"    {line}" for line in table.splitlines())
+    shown = f'===+ "ε = 0.05"\n\n{inner}\n\n=== "ε = 0"\n\n{inner}\n\n'
+    assert tabs(f"### T1\n\n{opened}{closed}Behind.\n") == f"### T1\n\n{shown}Behind.\n"
+    page = (ROOT / "results" / "tables.md").read_text(encoding="utf-8")
+    site = tabs(page)
+    assert page.count("<details") == site.count("\n===") + site.count("<details")
+    assert site.count("<details") < 20 < site.count("\n===")
+    html = markdown.markdown(
+        shown, extensions=["tables", "pymdownx.tabbed"], extension_configs=TABBED
+    )
+    assert html.count('class="tabbed-block"') == html.count("<table>") == 2
+    assert "pymdownx.tabbed:\n      alternate_style: true" in (ROOT / "mkdocs.yml").read_text()
 
 
 def test_the_board_of_the_first_page_is_that_of_the_entries() -> None:
