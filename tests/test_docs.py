@@ -25,6 +25,7 @@ from learn2assemble.tasks.networks.agent import agent_files
 from learn2assemble.tasks.task import PRESETS
 
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+ALL_PAGES = [*PAGES, *(ROOT / f"{name}.md" for name in ("CONTRIBUTING", "CHANGELOG", "SECURITY"))]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)
 COMMAND = re.compile(r"^\s*(?:\.venv/bin/)?(l2a(?:-lab)?)\s+(.*)$", re.M)
 PROGRAMS = {program.name: program for program in (L2A, command_line())}
@@ -186,19 +187,76 @@ def hook(name: str) -> ModuleType:
 
 
 def test_every_page_has_its_picture() -> None:
-    """The hook of the site that puts them there knows every page, and every drawing it names."""
-    drawings = hook("drawings")
-    pages = {str(page.relative_to(ROOT / "docs")) for page in PAGES if page.name != "README.md"}
-    assert pages - {"index.md"} | {"tables.md"} == set(drawings.PAGES)
-    gallery = tomllib.loads((ROOT / "docs" / "gallery.toml").read_text(encoding="utf-8"))["build"]
-    known = set(drawings.DRAWINGS) | {f"gallery/{one['name']}" for one in gallery}
+    """Every page of the site begins with one, below its title; the hook knows what it names."""
+    drawings, gallery = hook("drawings"), hook("gallery")
+    site = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").split("\nnav:\n")[1]
+    pages = re.findall(r"[\w/]+\.md", site)
+    assert len(pages) == len(set(pages)) > 25
+    assert set(pages) - {"index.md"} == set(drawings.PAGES)
+    built = tomllib.loads((ROOT / "docs" / "gallery.toml").read_text(encoding="utf-8"))["build"]
+    known = set(drawings.DRAWINGS) | {f"gallery/{one['name']}" for one in built}
     assert {name for name, _ in drawings.PAGES.values()} <= known
     for name in ("proof", "tables", "sides"):
         assert drawings.svg(name).startswith(b"<?xml"), name
+    facts = {one.name: {"blocks": 1, "seconds": 1.0, "arm": ""} for one in gallery.entries()}
+    tables = hook("tables")
+    made = {"gallery.md": gallery.page(facts), "tables.md": tables.HEAD + "# Tables\n\nText.\n"}
+    for name in pages:
+        text = made.get(name) or (ROOT / "docs" / name).read_text(encoding="utf-8")
+        page = SimpleNamespace(file=SimpleNamespace(src_uri=name))
+        shown = drawings.on_page_markdown(text, page, None, None)
+        _, below = re.split(r"^# .*\n", shown, maxsplit=1, flags=re.M)
+        first = re.match(r"\n!\[([^\]]+)\]\((?:\.\./)*([^)]+)\)", below)
+        assert first is not None, name
+        if not first[2].startswith("images/"):
+            assert re.sub(r"^drawings/|\.\w+$", "", first[2]) in known, name
+        assert shown.count("![") == text.count("![") + (name != "index.md"), name
     page = SimpleNamespace(file=SimpleNamespace(src_uri="methods/dqn.md"))
     shown = drawings.on_page_markdown("# Title\n\nText.\n", page, None, None)
     assert shown.startswith("# Title\n\n![Returns of five agents")
     assert "](../drawings/learning.svg)" in shown
+
+
+MOST_WORDS = 90
+"""Of a paragraph, an entry of a list or a cell of a table."""
+LONGER = {"benchmark.md": 170}
+"""Pages that still have longer ones, and how long these may be."""
+
+
+def paragraphs(text: str) -> list[str]:
+    """Paragraphs, entries of lists, and cells of tables of a page, without code and links."""
+    plain = re.sub(r"\]\([^)\s]*\)", "]", FENCE.sub("\n", text))
+    found, lines = [], []
+    for line in [*map(str.strip, plain.splitlines()), ""]:
+        if not line or line.startswith(("#", "|", "<")) or re.match(r"(?:[-*]|\d+\.) ", line):
+            found.append(" ".join(lines))
+            lines = []
+        if line.startswith("|"):
+            found += line.strip("|").split(" | ")
+        elif line and not line.startswith(("#", "<")):
+            lines.append(line)
+    return [one.strip() for one in found if one.strip()]
+
+
+def test_paragraphs_are_found() -> None:
+    page = "# Title\n\nOne\ntwo [three](a.md).\n* four\n  five\n* six\n\n| a | b |\n```\nno\n```\n"
+    assert paragraphs(page) == ["One two [three].", "* four five", "* six", "a", "b"]
+
+
+@pytest.mark.parametrize("page", ALL_PAGES, ids=lambda page: page.name)
+def test_paragraphs_are_short(page: Path) -> None:
+    """What is longer is a list, a table or two paragraphs."""
+    most = LONGER.get(page.name, MOST_WORDS)
+    for one in paragraphs(page.read_text(encoding="utf-8")):
+        assert len(one.split()) <= most, (len(one.split()), one[:100])
+
+
+def test_the_first_page_and_the_changes_are_short() -> None:
+    """A page that is read at once, and entries of a line."""
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 90
+    for line in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").splitlines():
+        assert len(line) <= 160, line
 
 
 def test_conditions_of_a_table_are_tabs_on_the_site() -> None:
