@@ -403,6 +403,7 @@ PAGES = {
     "design_files.md": ("gallery/figure", "A picture became a wall"),
     "designs.md": ("sides", "Two elevations and the blocks that fill them"),
     "deviations.md": ("learning", "Returns of five agents of DQN while they learn"),
+    "gallery.md": ("gallery/turned_wall", "A wall of turned bricks"),
     "from_lego.md": ("gallery/lego_tower", "A tower of bricks, from an LDraw file"),
     "from_rhino.md": ("gallery/arch", "An arch, and the posts that carry it for a while"),
     "goals.md": ("gallery/goals", "A structure that was invented for its goals"),

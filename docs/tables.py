@@ -3,6 +3,7 @@ the site."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,43 @@ hide: [navigation]
 MARKS = {"🟢": ("better", "▲"), "🟡": ("level", "="), "🔴": ("worse", "▼")}
 """Colours that a forge shows as they are; not every browser has letters for them."""
 
+CONDITION = re.compile(
+    r'^<details markdown="1"(?P<open> open)?><summary>(?P<label>[^\n]*)</summary>\n'
+    r"(?P<table>.*?)^</details>\n\s*",
+    re.MULTILINE | re.DOTALL,
+)
+"""A condition of a table: a forge shows it as a fold-out."""
+
+
+def tabs(text: str) -> str:
+    """The fold-outs of a page that follow one another, as tabs of which one is seen.
+
+    Args:
+        text: a page as a forge shows it.
+
+    Returns:
+        The page with ``=== "label"`` of pymdownx.tabbed (``===+`` where one is open) in place of
+        fold-outs. One that stands alone stays: there is nothing to choose.
+    """
+    runs: list[list[re.Match[str]]] = []
+    for one in CONDITION.finditer(text):
+        if runs and runs[-1][-1].end() == one.start():
+            runs[-1].append(one)
+        else:
+            runs.append([one])
+    out, done = [], 0
+    for run in runs:
+        if len(run) > 1:
+            out += [text[done : run[0].start()], *map(_tab, run)]
+            done = run[-1].end()
+    return "".join([*out, text[done:]])
+
+
+def _tab(one: re.Match[str]) -> str:
+    lines = one["table"].strip().splitlines()
+    shown = "\n".join(f"    {line}" if line else "" for line in lines)
+    return f'==={"+" if one["open"] else ""} "{one["label"]}"\n\n{shown}\n\n'
+
 
 def on_files(files: Any, config: Any) -> Any:
     """Hook of mkdocs: ``tables.md``, whose links lead to documents, and ``tables.csv``."""
@@ -28,7 +66,7 @@ def on_files(files: Any, config: Any) -> Any:
     text = (RESULTS / "tables.md").read_text(encoding="utf-8").replace("](../docs/", "](")
     for colour, (name, mark) in MARKS.items():
         text = text.replace(colour, f'<span class="{name}" title="{name}">{mark}</span>')
-    files.append(File.generated(config, "tables.md", content=HEAD + text))
+    files.append(File.generated(config, "tables.md", content=HEAD + tabs(text)))
     figures = (RESULTS / "tables.csv").read_text(encoding="utf-8")
     files.append(File.generated(config, "tables.csv", content=figures))
     return files

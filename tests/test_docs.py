@@ -7,11 +7,14 @@ import os
 import re
 import runpy
 import shlex
+import shutil
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
+import markdown
 import numpy as np
 import pytest
 from PIL import Image
@@ -24,6 +27,7 @@ from learn2assemble.tasks.networks.agent import agent_files
 from learn2assemble.tasks.task import PRESETS
 
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+ALL_PAGES = [*PAGES, *(ROOT / f"{name}.md" for name in ("CONTRIBUTING", "CHANGELOG", "SECURITY"))]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)
 COMMAND = re.compile(r"^\s*(?:\.venv/bin/)?(l2a(?:-lab)?)\s+(.*)$", re.M)
 PROGRAMS = {program.name: program for program in (L2A, command_line())}
@@ -37,22 +41,24 @@ TINY = {
     "demonstrate": ["--episodes", "20"],
 }
 """Words that make a command small; later words win."""
-TOO_LONG = (
-    "--server",
-    "fidelities",
-    "keep runs",
-    "--arm panda",
-    "--format franka",
-    "--quick",
-    "--train",
-    "--agents",
-    "dynamic",
-    "measure-designs",
-    "--robot",
-    "--arm six",
-    "gate-six",
-)
-"""Commands with these words are parsed, and their tests are elsewhere."""
+TABBED = {"pymdownx.tabbed": {"alternate_style": True}}
+PARSED = {
+    "--server": "asks a process beside it: test_benchmark",
+    "ur://": "moves a robot: test_run, with a fake controller",
+    "keep runs": "writes into the repository: test_table_cli",
+    "--quick": "measures for minutes",
+    "--train": "trains for hours",
+    "--agents": "measures for hours",
+    "--workers 8": "measures for hours",
+    "--ray": "needs other machines",
+    "measure-designs": "takes 29 s and more",
+    "gate-arm": "is that of the first page in another folder",
+    "--arm panda --arm ur5e": "takes 22 s",
+    "gabled_house.json --arm": "takes 34 s",
+}
+"""Commands with these words are only parsed, and why (seconds of the processor)."""
+WITH_ARM = "--arm panda", "six", "out/arch.csv", "arch-ur5e"
+"""Commands with these words simulate an arm, and run page by page."""
 
 
 def commands() -> list[tuple[str, str, list[str]]]:
@@ -62,7 +68,8 @@ def commands() -> list[tuple[str, str, list[str]]]:
         for _, block in FENCE.findall(page.read_text(encoding="utf-8")):
             for program, line in COMMAND.findall(block):
                 words = shlex.split(line, comments=True)
-                if not any(word.isupper() for word in words[:2]):  # a template: l2a train TASK
+                # A template: l2a train TASK. The table T2 is none.
+                if not any(word.isalpha() and word.isupper() for word in words[:2]):
                     found.append((page.name, program, words))
     return found
 
@@ -103,14 +110,11 @@ def test_the_commands_of_the_documents_run(
     monkeypatch.setattr("learn2assemble.viewer.server.serve", lambda *_: "")
     for name in ("examples", "tests"):
         (tmp_path / name).symlink_to(ROOT / name)
-    (tmp_path / "docs").mkdir()
-    (tmp_path / "docs" / "results.md").write_text(
-        (ROOT / "docs" / "results.md").read_text(encoding="utf-8"), encoding="utf-8"
-    )
+    shutil.copytree(ROOT / "results", tmp_path / "results")
     done = set()
     for page, program, words in commands():
         text = " ".join(words)
-        if text in done or any(word in text for word in TOO_LONG) or words[0] == "curves":
+        if text in done or any(word in text for word in (*PARSED, *WITH_ARM)):
             continue
         done.add(text)
         extra = [*TINY.get(words[0], [])]
@@ -129,6 +133,42 @@ def test_the_commands_of_the_documents_run(
             continue
         code = main([*words, *extra], PROGRAMS[program])
         assert code == 0, (page, text, capsys.readouterr().err[-500:])
+
+
+def commands_with_an_arm() -> dict[str, list[list[str]]]:
+    """Words of the commands of :data:`WITH_ARM` that run, by page, in order."""
+    found: dict[str, list[list[str]]] = {}
+    for page, _, words in commands():
+        text = " ".join(words)
+        if any(word in text for word in WITH_ARM) and not any(word in text for word in PARSED):
+            found.setdefault(page, []).append(words)
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", commands_with_an_arm())
+def test_the_commands_with_an_arm_run(page: str, tmp_path: Path) -> None:
+    """In processes of their own, as an arm of one's own would stay known to all other tests."""
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    known, arms = {"PYTHONPATH": str(ROOT / "src")}, tmp_path / "arms"
+    for words in commands_with_an_arm()[page]:
+        told = subprocess.run(
+            [sys.executable, "-m", "learn2assemble", *words],
+            cwd=tmp_path,
+            env=os.environ | known | {"LEARN2ASSEMBLE_ARMS": "arms" * arms.is_dir()},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert told.returncode == 0, (" ".join(words), told.stderr[-500:])
+
+
+def test_what_is_only_parsed_is_in_a_document() -> None:
+    """An exception whose command is gone is none."""
+    texts = [" ".join(words) for _, _, words in commands()]
+    for word in (*PARSED, *WITH_ARM):
+        assert any(word in text for text in texts), word
 
 
 def python_blocks() -> list[tuple[str, str]]:
@@ -184,19 +224,100 @@ def hook(name: str) -> ModuleType:
 
 
 def test_every_page_has_its_picture() -> None:
-    """The hook of the site that puts them there knows every page, and every drawing it names."""
-    drawings = hook("drawings")
-    pages = {str(page.relative_to(ROOT / "docs")) for page in PAGES if page.name != "README.md"}
-    assert pages - {"index.md"} | {"tables.md"} == set(drawings.PAGES)
-    gallery = tomllib.loads((ROOT / "docs" / "gallery.toml").read_text(encoding="utf-8"))["build"]
-    known = set(drawings.DRAWINGS) | {f"gallery/{one['name']}" for one in gallery}
+    """Every page of the site begins with one, below its title; the hook knows what it names."""
+    drawings, gallery = hook("drawings"), hook("gallery")
+    site = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").split("\nnav:\n")[1]
+    pages = re.findall(r"[\w/]+\.md", site)
+    assert len(pages) == len(set(pages)) > 25
+    assert set(pages) - {"index.md"} == set(drawings.PAGES)
+    built = tomllib.loads((ROOT / "docs" / "gallery.toml").read_text(encoding="utf-8"))["build"]
+    known = set(drawings.DRAWINGS) | {f"gallery/{one['name']}" for one in built}
     assert {name for name, _ in drawings.PAGES.values()} <= known
     for name in ("proof", "tables", "sides"):
         assert drawings.svg(name).startswith(b"<?xml"), name
+    facts = {one.name: {"blocks": 1, "seconds": 1.0, "arm": ""} for one in gallery.entries()}
+    tables = hook("tables")
+    made = {"gallery.md": gallery.page(facts), "tables.md": tables.HEAD + "# Tables\n\nText.\n"}
+    for name in pages:
+        text = made.get(name) or (ROOT / "docs" / name).read_text(encoding="utf-8")
+        page = SimpleNamespace(file=SimpleNamespace(src_uri=name))
+        shown = drawings.on_page_markdown(text, page, None, None)
+        _, below = re.split(r"^# .*\n", shown, maxsplit=1, flags=re.M)
+        first = re.match(r"\n!\[([^\]]+)\]\((?:\.\./)*([^)]+)\)", below)
+        assert first is not None, name
+        if not first[2].startswith("images/"):
+            assert re.sub(r"^drawings/|\.\w+$", "", first[2]) in known, name
+        assert shown.count("![") == text.count("![") + (name != "index.md"), name
     page = SimpleNamespace(file=SimpleNamespace(src_uri="methods/dqn.md"))
     shown = drawings.on_page_markdown("# Title\n\nText.\n", page, None, None)
     assert shown.startswith("# Title\n\n![Returns of five agents")
     assert "](../drawings/learning.svg)" in shown
+
+
+MOST_WORDS = 90
+"""Of a paragraph, an entry of a list or a cell of a table."""
+LONGER = {"benchmark.md": 170}
+"""Pages that still have longer ones, and how long these may be."""
+
+
+def paragraphs(text: str) -> list[str]:
+    """Paragraphs, entries of lists, and cells of tables of a page, without code and links."""
+    plain = re.sub(r"\]\([^)\s]*\)", "]", FENCE.sub("\n", text))
+    found, lines = [], []
+    for line in [*map(str.strip, plain.splitlines()), ""]:
+        if not line or line.startswith(("#", "|", "<")) or re.match(r"(?:[-*]|\d+\.) ", line):
+            found.append(" ".join(lines))
+            lines = []
+        if line.startswith("|"):
+            found += line.strip("|").split(" | ")
+        elif line and not line.startswith(("#", "<")):
+            lines.append(line)
+    return [one.strip() for one in found if one.strip()]
+
+
+def test_paragraphs_are_found() -> None:
+    page = "# Title\n\nOne\ntwo [three](a.md).\n* four\n  five\n* six\n\n| a | b |\n```\nno\n```\n"
+    assert paragraphs(page) == ["One two [three].", "* four five", "* six", "a", "b"]
+
+
+@pytest.mark.parametrize("page", ALL_PAGES, ids=lambda page: page.name)
+def test_paragraphs_are_short(page: Path) -> None:
+    """What is longer is a list, a table or two paragraphs."""
+    most = LONGER.get(page.name, MOST_WORDS)
+    for one in paragraphs(page.read_text(encoding="utf-8")):
+        assert len(one.split()) <= most, (len(one.split()), one[:100])
+
+
+def test_the_first_page_and_the_changes_are_short() -> None:
+    """A page that is read at once, and entries of a line."""
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 90
+    for line in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").splitlines():
+        assert len(line) <= 160, line
+
+
+def test_conditions_of_a_table_are_tabs_on_the_site() -> None:
+    """One is seen at a time; a forge shows the same text as fold-outs."""
+    table = "| method | R |\n| --- | ---: |\n| DQN | 3.2 |"
+    opened, closed = (
+        f'<details markdown="1"{state}><summary>ε = {value}</summary>\n\n{table}\n\n</details>\n\n'
+        for state, value in ((" open", 0.05), ("", 0))
+    )
+    alone = f"# Tables\n\n### T1\n\n{opened}Between.\n\n### T2\n\n{closed}Behind.\n"
+    tabs = hook("tables").tabs
+    assert tabs(alone) == alone
+    inner = "\n".join(f"    {line}" for line in table.splitlines())
+    shown = f'===+ "ε = 0.05"\n\n{inner}\n\n=== "ε = 0"\n\n{inner}\n\n'
+    assert tabs(f"### T1\n\n{opened}{closed}Behind.\n") == f"### T1\n\n{shown}Behind.\n"
+    page = (ROOT / "results" / "tables.md").read_text(encoding="utf-8")
+    site = tabs(page)
+    assert page.count("<details") == site.count("\n===") + site.count("<details")
+    assert site.count("<details") < 20 < site.count("\n===")
+    html = markdown.markdown(
+        shown, extensions=["tables", "pymdownx.tabbed"], extension_configs=TABBED
+    )
+    assert html.count('class="tabbed-block"') == html.count("<table>") == 2
+    assert "pymdownx.tabbed:\n      alternate_style: true" in (ROOT / "mkdocs.yml").read_text()
 
 
 def test_the_board_of_the_first_page_is_that_of_the_entries() -> None:
