@@ -297,14 +297,21 @@ def _bars(axes: Axes) -> None:
 
 
 def _curves(axes: Axes) -> None:
-    """Returns of MaskablePPO while it trains, of every seed."""
-    with (ROOT / "results" / "benchmark" / "maskable-ppo.csv").open(encoding="utf-8") as stream:
-        lines = list(csv.DictReader(stream))
-    for seed in sorted({one["seed"] for one in lines}):
-        told = [(int(r["steps"]), float(r["return"])) for r in lines if r["seed"] == seed]
-        axes.plot(*np.transpose(told), color=ACCENT, lw=0.9, alpha=0.7)
+    """Returns of MaskablePPO while it trains, of every task and seed."""
+    lines: list[dict[str, str]] = []
+    for file in sorted((ROOT / "results" / "benchmark").glob("*.csv")):
+        with file.open(encoding="utf-8") as stream:
+            lines += csv.DictReader(stream)
+    tasks = dict.fromkeys(one["task"] for one in lines)
+    for task, tone in zip(tasks, (WARM, INK, ACCENT, SOFT, LINE, "#7048e8"), strict=False):
+        mine = [one for one in lines if one["task"] == task]
+        for n, seed in enumerate(sorted({one["seed"] for one in mine})):
+            told = [(int(r["steps"]), float(r["return"])) for r in mine if r["seed"] == seed]
+            name = {"label": task} if not n else {}
+            axes.plot(*np.transpose(told), color=tone, lw=0.9, alpha=0.7, **name)
     axes.set_xlabel("steps of training, MaskablePPO, five seeds", color=SOFT)
     axes.set_ylabel("return, not discounted", color=SOFT)
+    axes.legend(frameon=False, labelcolor=INK, fontsize=8)
 
 
 def tables() -> Figure:

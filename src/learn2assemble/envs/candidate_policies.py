@@ -12,13 +12,16 @@ import numpy as np
 from learn2assemble.envs.designs import DesignEnv, GoalsEnv
 from learn2assemble.envs.suite import SECONDS
 from learn2assemble.errors import InputError
-from learn2assemble.planning.goals.program import plan_program
+from learn2assemble.planning.goals.program import MOST, plan_program
+from learn2assemble.planning.goals.search import search
 from learn2assemble.planning.tiling.exact import plan_exact
 
 LOOKS = 32
 """So many candidates of a design are looked at."""
 PLANNING = 0.8
 """Share of the time of a problem that is for planning."""
+SEARCHING = 10.0
+"""Seconds of it, at most, for the search in front of the exact program of goals."""
 
 
 class OnCandidates:
@@ -77,9 +80,9 @@ class GoalsLookahead(OnCandidates):
 
 
 class ExactPlanner(OnCandidates):
-    """Builds as the exact planner plans a design for its kit and heap, or the fewest blocks that
-    meet goals; where that finds nothing in time, what is lowest and largest, or the cheapest way to
-    a goal."""
+    """Builds as the exact planner plans a design for its kit and heap, or the structure for goals
+    with the fewest blocks that it finds; where that is none in time, what is lowest and largest, or
+    the cheapest way to a goal."""
 
     def begin(self, env: gymnasium.Env[Any, Any]) -> None:
         """A new problem, which is planned at once."""
@@ -108,6 +111,9 @@ def _plan_design(env: DesignEnv) -> list[int]:
 
 
 def _plan_goals(env: GoalsEnv) -> list[int]:
-    """The same of the structure with the fewest blocks."""
-    found = plan_program(env.problem, seconds=PLANNING * SECONDS)
-    return [env.problem.site.candidate(one) for one in found.placements]
+    """The same of the structure that the search finds, or of one with fewer blocks where the exact
+    program finds one in the time that is left."""
+    found = search(env.problem, seconds=SEARCHING)
+    left, most = PLANNING * SECONDS - found.seconds, found.blocks - 1 if found.blocks else MOST
+    fewer = plan_program(env.problem, seconds=left, most=most)
+    return [env.problem.site.candidate(one) for one in fewer.placements or found.placements]
