@@ -20,8 +20,9 @@ LOOKS = 32
 """So many candidates of a design are looked at."""
 PLANNING = 0.8
 """Share of the time of a problem that is for planning."""
-SEARCHING = 10.0
-"""Seconds of it, at most, for the search in front of the exact program of goals."""
+SEARCHING, PROGRAM = 10.0, 25.0
+"""Seconds, at most, for the search in front of the exact program of goals, and for the program,
+which may end some seconds late."""
 
 
 class OnCandidates:
@@ -112,8 +113,8 @@ def _plan_design(env: DesignEnv) -> list[int]:
 
 def _plan_goals(env: GoalsEnv) -> list[int]:
     """The same of the structure that the search finds, or of one with fewer blocks where the exact
-    program finds one in the time that is left."""
+    program finds one in time."""
     found = search(env.problem, seconds=SEARCHING)
-    left, most = PLANNING * SECONDS - found.seconds, found.blocks - 1 if found.blocks else MOST
-    fewer = plan_program(env.problem, seconds=left, most=most)
+    most = found.blocks - 1 if found.blocks else MOST
+    fewer = plan_program(env.problem, seconds=PROGRAM, most=most)
     return [env.problem.site.candidate(one) for one in fewer.placements or found.placements]
