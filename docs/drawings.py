@@ -271,14 +271,14 @@ def _scores() -> dict[str, list[float]]:
 
 def board() -> Figure:
     """The board as bars: ``docs/images/benchmark.svg``, which the first page shows."""
-    figure, axes = _chart(6.4, 4.4)
+    figure, axes = _chart(6.4, 5.4)
     _bars(axes)
     return figure
 
 
 def scores() -> Figure:
-    """The board as bars, and how the baseline that trains on the spot learns."""
-    figure, axes = _chart(9, 7.0, 2)
+    """The board as bars, and how the baselines that train on the spot learn."""
+    figure, axes = _chart(9, 8.2, 2)
     _bars(axes)
     _curves(figure.axes[1])
     return figure

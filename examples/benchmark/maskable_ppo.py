@@ -5,7 +5,7 @@
 About a minute for 50,000 steps of a seed: it trains on random problems of each task (of designs,
 on those of the families of training, out of a pool of them), and plays some of the benchmark.
 Actions are masked to those that would stand, where that is told; of the candidates of a design or
-of goals it sees the first 64. Policies of several seeds are runs of one entry. Their curves, a line
+of goals it sees the first 32. Policies of several seeds are runs of one entry. Their curves, a line
 every 2,048 steps, go into ``maskable-ppo.csv`` beside it.
 """
 
@@ -23,7 +23,7 @@ from learn2assemble.envs.submission import board, enter
 from learn2assemble.envs.suite import SuiteTask
 from learn2assemble.files import check_new
 
-TASK, PROBLEMS, POOL, MOST = "two-sided-3x3-20-24", 20, 50, 64
+TASK, PROBLEMS, POOL, MOST = "two-sided-3x3-20-24", 20, 20, 32
 torch.set_num_threads(1)  # The network is small.
 
 
