@@ -18,7 +18,7 @@ import pytest
 
 from headless import ROOT, run_script
 from learn2assemble.cli import main
-from learn2assemble.envs import suite
+from learn2assemble.envs import candidate_policies, suite
 from learn2assemble.envs.policies import (
     Lookahead,
     RandomChoice,
@@ -309,7 +309,7 @@ def test_random_choices_differ_by_their_seed_and_repeat() -> None:
     assert [one.actions for one in plain.played] == chosen[0]
 
 
-def test_goals_ask_for_more_than_one_step_ahead() -> None:
+def test_goals_ask_for_more_than_one_step_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
     """Who looks one step ahead is better than chance and invents two structures of the three, with
     more blocks than the planner."""
     goals = [name for name in SUITE if name.startswith("goals-")]
@@ -318,6 +318,7 @@ def test_goals_ask_for_more_than_one_step_ahead() -> None:
     assert [one.task for one in ahead.played if one.success] == goals[1:]
     for name in goals[1:]:
         assert ahead.scores(name).max() > chance.scores(name).max()
+    monkeypatch.setattr(candidate_policies, "PROGRAM", 1.0)  # It finds nothing better.
     task = SuiteTask("goals-cantilever")
     exact = task.play(task.make(), 0, load_policy("exact-planner"))
     assert exact.success

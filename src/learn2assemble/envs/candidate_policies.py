@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Generic, TypeVar, cast
 
 import gymnasium
 import numpy as np
@@ -25,7 +25,10 @@ SEARCHING, PROGRAM = 10.0, 25.0
 which may end some seconds late."""
 
 
-class OnCandidates:
+Env = TypeVar("Env", bound=DesignEnv | GoalsEnv)
+
+
+class OnCandidates(Generic[Env]):
     """Chooses candidates of a task of random designs or of goals.
 
     Raises:
@@ -33,14 +36,14 @@ class OnCandidates:
     """
 
     knows = "model"
-    env: DesignEnv | GoalsEnv
+    env: Env
 
     def begin(self, env: gymnasium.Env[Any, Any]) -> None:
         """A new problem."""
         if not isinstance(env, DesignEnv | GoalsEnv):
             name = getattr(getattr(env, "task", None), "name", "?")
             raise InputError("task", name, "a task of candidates: designs-* or goals-*")
-        self.env = env
+        self.env = cast("Env", env)
 
 
 def lowest(env: DesignEnv) -> np.ndarray:
@@ -50,11 +53,9 @@ def lowest(env: DesignEnv) -> np.ndarray:
     return np.lexsort((-found.size()[offered], found.origin[offered, 2]))
 
 
-class DesignLookahead(OnCandidates):
+class DesignLookahead(OnCandidates[DesignEnv]):
     """One step ahead: of the :data:`LOOKS` lowest and largest candidates that would stand, the one
     that leaves the fewest cells which nothing can fill any more."""
-
-    env: DesignEnv
 
     def __call__(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> int:
         order, world = lowest(self.env), self.env.world
@@ -67,7 +68,7 @@ class DesignLookahead(OnCandidates):
         return int(order[0 if best is None else best[1]])
 
 
-class GoalsLookahead(OnCandidates):
+class GoalsLookahead(OnCandidates[GoalsEnv]):
     """One step ahead: of all that is offered and would stand, what brings the largest reward at
     once; of several, what is offered first, the cheapest way to a goal."""
 
@@ -80,7 +81,7 @@ class GoalsLookahead(OnCandidates):
         return reward if told["stood"] and np.isfinite(told["missing"]) else -np.inf
 
 
-class ExactPlanner(OnCandidates):
+class ExactPlanner(OnCandidates[DesignEnv | GoalsEnv]):
     """Builds as the exact planner plans a design for its kit and heap, or the structure for goals
     with the fewest blocks that it finds; where that is none in time, what is lowest and largest, or
     the cheapest way to a goal."""
@@ -88,8 +89,9 @@ class ExactPlanner(OnCandidates):
     def begin(self, env: gymnasium.Env[Any, Any]) -> None:
         """A new problem, which is planned at once."""
         super().begin(env)
-        plan = _plan_design if isinstance(self.env, DesignEnv) else _plan_goals
-        self.planned: list[int] = plan(self.env)[::-1]
+        mine = self.env
+        planned = _plan_design(mine) if isinstance(mine, DesignEnv) else _plan_goals(mine)
+        self.planned: list[int] = planned[::-1]
 
     def __call__(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> int:
         while self.planned:

@@ -96,21 +96,24 @@ class Lookahead:
 
     def begin(self, env: gymnasium.Env[Any, Any]) -> None:
         """A new problem."""
-        make = next(make for kind, make in _AHEAD.items() if isinstance(env, kind))
-        self.choose: Any = make()
+        own = (make for kind, make in _AHEAD.items() if isinstance(env, kind))
+        self.choose: Any = next(own, _of_states)()
         self.choose.begin(env)
 
     def __call__(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> int:
         return self.choose(observation, info)
 
 
+def _of_states() -> OnStates:
+    return OnStates(lookahead_actions, "model")
+
+
 _AHEAD: dict[type[gymnasium.Env[Any, Any]], Callable[[], Any]] = {
     HiddenEnv: HiddenLookahead,
     DesignEnv: DesignLookahead,
     GoalsEnv: GoalsLookahead,
-    AssemblyEnv: lambda: OnStates(lookahead_actions, "model"),
 }
-"""The look-ahead of each environment."""
+"""The look-ahead of each environment but those of placements."""
 
 
 def trained_agent(agent: str | Path | None = None) -> OnStates:
