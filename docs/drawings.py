@@ -291,7 +291,7 @@ def _bars(axes: Axes) -> None:
         values = [one[k] for one in found.values()]
         axes.barh(np.arange(len(values)) + 0.2 * (1.5 - k), values, 0.19, color=tone, label=name)
     axes.set_yticks(range(len(found)), list(found))
-    axes.set_xlim(-0.1, 1.05)
+    axes.set_xlim(-0.2, 1.05)
     axes.set_xlabel("share of the bound", color=SOFT)
     axes.legend(frameon=False, labelcolor=INK, loc="upper right", bbox_to_anchor=(1.0, 1.1), ncol=4)
 
