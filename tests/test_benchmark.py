@@ -18,7 +18,7 @@ import pytest
 
 from headless import ROOT, run_script
 from learn2assemble.cli import main
-from learn2assemble.envs import suite
+from learn2assemble.envs import candidate_policies, suite
 from learn2assemble.envs.policies import (
     Lookahead,
     RandomChoice,
@@ -300,6 +300,49 @@ def test_tight_heaps_ask_for_more_than_one_step_ahead() -> None:
         SuiteTask(SMALL).play(SuiteTask(SMALL).make(), 0, load_policy("exact-planner"))
 
 
+def test_random_choices_differ_by_their_seed_and_repeat() -> None:
+    runs = [load_policy(f"random:{seed}") for seed in (0, 1, 1)]
+    entry = enter(runs, "random", tasks=FEW, problems=2)
+    chosen = [[one.actions for one in entry.played if one.run == run] for run in range(3)]
+    assert chosen[0] != chosen[1] == chosen[2]
+    plain = enter(load_policy("random"), "random", tasks=FEW, problems=2)
+    assert [one.actions for one in plain.played] == chosen[0]
+
+
+def test_goals_ask_for_more_than_one_step_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who looks one step ahead is better than chance and invents two structures of the three, with
+    more blocks than the planner."""
+    goals = [name for name in SUITE if name.startswith("goals-")]
+    chance = enter([load_policy(f"random:{seed}") for seed in range(5)], "random", tasks=goals)
+    ahead = enter(Lookahead(), "look-ahead", tasks=goals)
+    assert [one.task for one in ahead.played if one.success] == goals[1:]
+    for name in goals[1:]:
+        assert ahead.scores(name).max() > chance.scores(name).max()
+    monkeypatch.setattr(candidate_policies, "PROGRAM", 1.0)  # It finds nothing better.
+    task = SuiteTask("goals-cantilever")
+    exact = task.play(task.make(), 0, load_policy("exact-planner"))
+    assert exact.success
+    assert exact.score == pytest.approx((2 - 0.05 * len(exact.actions)) / 1.95)
+    assert exact.score > ahead.scores("goals-cantilever").item()
+
+
+def test_looking_ahead_changes_nothing() -> None:
+    """Goals are looked at in a flat copy of their environment."""
+    env = SuiteTask("goals-table").make()
+
+    def play(ahead: Lookahead | None) -> list[tuple]:
+        told, (seen, info) = [], env.reset(seed=0)
+        for _ in range(4):
+            if ahead is not None:
+                ahead.begin(env)
+                ahead(seen, info)
+            seen, reward, _, _, info = env.step(np.int64(0))
+            told.append((reward, info["missing"], seen["candidates"].tobytes()))
+        return told
+
+    assert play(Lookahead()) == play(None)
+
+
 def test_planning_takes_time_of_the_problem(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a policy does before the first action is thought, too."""
 
@@ -381,7 +424,8 @@ def test_only_this_machine_is_asked(address: str) -> None:
         ["run", "out.json", "--policy", "random"],
         ["run", "a.jsonl.gz", "b.jsonl.gz", "--policy", "random"],
         ["run", "out.jsonl.gz", "--server", "127.0.0.1:1"],
-        ["run", "out.jsonl.gz", "--policy", "look-ahead", "--task", "goals-bridge"],
+        ["run", "out.jsonl.gz", "--policy", "random:-1"],
+        ["run", "out.jsonl.gz", "--policy", "exact-planner", "--task", SMALL],
         ["check", "nowhere.jsonl.gz"],
         ["board", "nowhere.jsonl.gz"],
         ["board", "nowhere.jsonl.gz", "--policy", "random"],
@@ -419,5 +463,9 @@ def test_a_policy_that_never_ends_is_asked_no_more() -> None:
 
 @pytest.mark.skipif(importlib.util.find_spec("sb3_contrib") is None, reason="no sb3-contrib")
 def test_another_library_enters(tmp_path: Path) -> None:
-    run_script(OUTSIDERS / "maskable_ppo.py", "ppo.jsonl.gz", "64", cwd=tmp_path)
+    script = OUTSIDERS / "maskable_ppo.py"
+    run_script(script, "ppo.jsonl.gz", "64", cwd=tmp_path)
     assert len(check(tmp_path / "ppo.jsonl.gz").played) == 20
+    goals = ["goals-bridge", "goals-cantilever"]
+    run_script(script, "goals.jsonl.gz", "64", "1", *goals, cwd=tmp_path)
+    assert [one.task for one in check(tmp_path / "goals.jsonl.gz").played] == goals

@@ -22,6 +22,8 @@ from learn2assemble.cell.carry_out import Workcell
 from learn2assemble.cell.pieces import pieces_of
 from learn2assemble.cell.site import Obstacle, Site
 from learn2assemble.design.cells import CellDesign
+from learn2assemble.envs.policies import load_policy
+from learn2assemble.envs.suite import SuiteTask
 from learn2assemble.errors import InputError
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.planning.tiling.ordering import to_assembly
@@ -267,3 +269,20 @@ def test_the_measurement_counts_every_design(monkeypatch: pytest.MonkeyPatch) ->
     assert more["sets"]["suction"]["rows"][:2] == found["sets"]["suction"]["rows"]
     assert more["sets"]["gripper"] == json.loads(json.dumps(found["sets"]["gripper"]))
     assert more["comparison"] == json.loads(json.dumps(found["comparison"]))
+
+
+def test_builders_are_policies_of_the_benchmark() -> None:
+    """Alone it completes a design that random choices do not; with its search, by its plan."""
+    task = SuiteTask("designs-lintels-60-held-out")
+    env = task.make()
+    for name, knows in (("builder", "observation"), ("builder-with-search", "model")):
+        policy: Any = load_policy(f"{name}:builder-s0")
+        assert policy.knows == knows
+        done = task.play(env, 0, policy)
+        assert (done.score, done.success) == (pytest.approx(1.0), True)
+    assert policy.planned == []
+    assert not task.play(env, 0, load_policy("random")).success
+    with pytest.raises(InputError, match="designs-"):
+        SuiteTask("goals-bridge").play(SuiteTask("goals-bridge").make(), 0, policy)
+    with pytest.raises(InputError, match="builder of designs"):
+        load_policy("builder:nobody")

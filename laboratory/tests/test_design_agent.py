@@ -28,6 +28,7 @@ from l2a_lab.builder.search import build as build_site
 from l2a_lab.builder.train import TEACHERS, BuilderConfig, train
 from learn2assemble.assembly.kit import load_kit, orientations
 from learn2assemble.design.cells import CellDesign
+from learn2assemble.envs.designs import DesignEnv
 from learn2assemble.errors import InputError
 from learn2assemble.planning.plan import CellCount
 from learn2assemble.planning.tiling.candidates import support_margin
@@ -248,6 +249,23 @@ def test_a_pool_has_so_many_problems_and_a_seed_gives_another_one() -> None:
     for none in (0, 2.5):
         with pytest.raises(InputError, match="pool: got"):
             gymnasium.make("learn2assemble/designs-lintels-60-v0", pool=none)
+
+
+def test_the_last_problem_is_not_drawn_twice() -> None:
+    """Policies that play the same one share it, and what comes after it is the same."""
+    env = DesignEnv(LITTLE)
+    drawn = []
+    for seed in (5, None, 5, None):
+        env.reset(seed=seed)
+        drawn.append(env.solved)
+    env.reset(seed=5)
+    first = env.solved
+    env.reset(seed=5)
+    assert env.solved is first
+    cells = [one.site.wanted.tobytes() for one in drawn]
+    assert cells[:2] == cells[2:]
+    assert cells[0] != cells[1]
+    assert drawn[0].site is not drawn[2].site  # Another one was drawn in between.
 
 
 def test_presets_of_designs() -> None:

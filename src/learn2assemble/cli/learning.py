@@ -224,8 +224,9 @@ def _bench(options: argparse.Namespace, output: Output) -> None:
         "--policy",
         dest="policies",
         action="append",
-        help="random, look-ahead, exact-planner, planner-with-repair, planner-without-looks, "
-        "shipped, agent:NAME, module:name or file.py:name; several are runs of one entry",
+        help="random, random:SEED, look-ahead, exact-planner, planner-with-repair, "
+        "planner-without-looks, shipped, agent:NAME, module:name or file.py:name; several are runs "
+        "of one entry",
     ),
     arg("--server", default=None, metavar="HOST:PORT", help="a policy in another process"),
     arg("--name", default=None, help="of the entry (the policy's)"),

@@ -179,6 +179,9 @@ class DesignEnv(_CandidateEnv):
         self._size, self._pool = pool, dict[int, Solved]()
         self._first: int | None = None
         """Seed of the pool."""
+        self._last: tuple[Any, Solved, Any] | None = None
+        """The last problem beside a pool, and the state of the random numbers before and after it:
+        several policies play the same one after another."""
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -190,7 +193,11 @@ class DesignEnv(_CandidateEnv):
 
     def _draw(self) -> LatticeWorld:
         if self._size is None:
-            self.solved = make_design(self.task, self.np_random)
+            numbers = self.np_random.bit_generator
+            if self._last is None or self._last[0] != numbers.state:
+                before = numbers.state
+                self._last = before, make_design(self.task, self.np_random), numbers.state
+            _, self.solved, numbers.state = self._last
             return LatticeWorld(self.solved.site)
         if self._first is None:
             self._first, self._pool = int(self.np_random.integers(2**62)), {}

@@ -21,7 +21,12 @@ import gymnasium
 import numpy as np
 
 from learn2assemble.envs.assembly import AssemblyEnv
-from learn2assemble.envs.designs import DesignEnv
+from learn2assemble.envs.candidate_policies import (
+    DesignLookahead,
+    ExactPlanner,
+    GoalsLookahead,
+)
+from learn2assemble.envs.designs import DesignEnv, GoalsEnv
 from learn2assemble.envs.hidden import HiddenEnv
 from learn2assemble.envs.hidden_policies import (
     HiddenLookahead,
@@ -30,7 +35,7 @@ from learn2assemble.envs.hidden_policies import (
 )
 from learn2assemble.envs.suite import SECONDS, Choose
 from learn2assemble.errors import InputError, check_name
-from learn2assemble.planning.tiling.exact import plan_exact
+from learn2assemble.registry import Registry, add_plugin
 from learn2assemble.tasks.graph.features import node_offset
 from learn2assemble.tasks.graph.placements import distinct_placements, locate
 from learn2assemble.tasks.networks.agent import default_agent, load_agent
@@ -38,19 +43,15 @@ from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.world.state import State
 from learn2assemble.tasks.world_model import WorldModel, lookahead_actions
 
-LOOKS = 32
-"""So many candidates of a design are looked at."""
-PLANNING = 0.8
-"""Share of the time of a problem that is for planning."""
 _OFFERED = ("candidates", "placements", "mask")
 """Parts of an observation with a row for every action."""
 
 
 class RandomChoice:
-    """A uniform legal action always."""
+    """A uniform legal action always, drawn from a seed that runs through all problems."""
 
-    def __init__(self) -> None:
-        self.rng: np.random.Generator = np.random.default_rng(0)
+    def __init__(self, seed: int = 0) -> None:
+        self.rng: np.random.Generator = np.random.default_rng(seed)
 
     def __call__(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> int:
         return int(self.rng.choice(np.flatnonzero(info["action_masks"])))
@@ -87,89 +88,32 @@ class OnStates:
         return int(locate(distinct_placements(graph, spec), graph, action, spec)[0])
 
 
-class OnDesigns:
-    """Chooses candidates of a task of random designs, for those who know the model.
-
-    Raises:
-        InputError: for another task.
-    """
-
-    knows = "model"
-    env: DesignEnv
-
-    def begin(self, env: gymnasium.Env[Any, Any]) -> None:
-        """A new problem."""
-        if not isinstance(env, DesignEnv):
-            name = getattr(getattr(env, "task", None), "name", "?")
-            raise InputError("task", name, "a task of random designs: designs-*")
-        self.env = env
-
-    def lowest(self) -> np.ndarray:
-        """int64[k]: numbers of what is offered, lowest first, and of one level the largest."""
-        world = self.env.world
-        assert world is not None
-        found, offered = world.site.found, self.env.offered
-        return np.lexsort((-found.size()[offered], found.origin[offered, 2]))
-
-
-class DesignLookahead(OnDesigns):
-    """One step ahead: of the :data:`LOOKS` lowest and largest candidates that would stand, the one
-    that leaves the fewest cells which nothing can fill any more."""
-
-    def __call__(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> int:
-        order, world = self.lowest(), self.env.world
-        assert world is not None
-        best: tuple[int, int] | None = None
-        for place, number in enumerate(order[:LOOKS].tolist()):
-            after = world.copy()
-            if after.place(int(self.env.offered[number]), program=True):
-                best = min(best or (world.open, 0), (len(after.stranded()), place))
-        return int(order[0 if best is None else best[1]])
-
-
-class ExactPlanner(OnDesigns):
-    """Builds as the exact planner plans a design for its kit and heap; where that finds nothing in
-    time, what is lowest and largest."""
-
-    def begin(self, env: gymnasium.Env[Any, Any]) -> None:
-        """A new problem, which is planned at once."""
-        super().begin(env)
-        assert self.env.world is not None
-        site, planned = self.env.world.site, list[int]()
-        seconds = PLANNING * SECONDS
-        made, ordering = plan_exact(site.wanted, site.kit, props_allowed=False, seconds=seconds)
-        if ordering is not None and ordering.status == "complete":
-            steps = [made.placements[step.block] for step in ordering.steps]
-            planned = [site.candidate(one) for one in steps]
-        self.planned: list[int] = planned[::-1]
-
-    def __call__(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> int:
-        while self.planned:
-            numbers = np.flatnonzero(self.env.offered == self.planned.pop())
-            if len(numbers):
-                return int(numbers[0])
-        return int(self.lowest()[0])
-
-
 class Lookahead:
     """The exact one-step look-ahead: of placements, see :mod:`learn2assemble.tasks.world_model`,
-    of candidates of a design, or of given blocks."""
+    of candidates of a design or to goals, or of given blocks."""
 
     knows = "model"
 
     def begin(self, env: gymnasium.Env[Any, Any]) -> None:
         """A new problem."""
-        self.choose: DesignLookahead | HiddenLookahead | OnStates
-        if isinstance(env, HiddenEnv):
-            self.choose = HiddenLookahead()
-        elif isinstance(env, DesignEnv):
-            self.choose = DesignLookahead()
-        else:
-            self.choose = OnStates(lookahead_actions, "model")
+        own = (make for kind, make in _AHEAD.items() if isinstance(env, kind))
+        self.choose: Any = next(own, _of_states)()
         self.choose.begin(env)
 
     def __call__(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> int:
         return self.choose(observation, info)
+
+
+def _of_states() -> OnStates:
+    return OnStates(lookahead_actions, "model")
+
+
+_AHEAD: dict[type[gymnasium.Env[Any, Any]], Callable[[], Any]] = {
+    HiddenEnv: HiddenLookahead,
+    DesignEnv: DesignLookahead,
+    GoalsEnv: GoalsLookahead,
+}
+"""The look-ahead of each environment but those of placements."""
 
 
 def trained_agent(agent: str | Path | None = None) -> OnStates:
@@ -205,9 +149,23 @@ BASELINES: dict[str, Callable[[], Choose]] = {
 """Policies that come with the package, by name."""
 
 
+def _random(seed: str) -> RandomChoice:
+    if not seed.isdecimal():
+        raise InputError("seed", seed, "a whole number of at least 0")
+    return RandomChoice(int(seed))
+
+
+NAMED: Registry[Callable[[str], Choose]] = Registry(
+    "policy", {"agent": trained_agent, "random": _random}
+)
+"""Policies of which there are several, by what stands before the colon; the laboratory adds its
+own where it is installed."""
+add_plugin("l2a_lab.builder", "policy", optional=True)
+
+
 def load_policy(where: str) -> Choose:
-    """A policy by the name of a baseline, ``agent:NAME``, ``package.module:name`` or
-    ``file.py:name``.
+    """A policy by the name of a baseline, ``random:SEED``, ``agent:NAME``, ``package.module:name``
+    or ``file.py:name``.
 
     A class is called without arguments; anything else that can be called is the policy.
 
@@ -218,8 +176,8 @@ def load_policy(where: str) -> Choose:
     if not colon:
         check_name("policy", where, BASELINES)
         return BASELINES[where]()
-    if place == "agent":
-        return trained_agent(name)
+    if place in NAMED:
+        return NAMED[place](name)
     try:
         if place.endswith(".py"):
             spec = importlib.util.spec_from_file_location(Path(place).stem, place)

@@ -156,11 +156,14 @@ def enter(
     played: list[PlayedProblem] = []
     for task in chosen:
         env, count = task.make(), min(problems or SUITE[task.name], SUITE[task.name])
-        for run, one in enumerate(runs):
-            for problem in range(count):
-                done = task.play(env, problem, one)
-                played.append(_record(task, run, problem, done))
-            mean = np.mean([one.score for one in played[-count:]])
+        # All runs play a problem before the next: some take longer to draw than to play.
+        found = [
+            [_record(task, k, n, task.play(env, n, one)) for k, one in enumerate(runs)]
+            for n in range(count)
+        ]
+        for run, mine in enumerate(zip(*found, strict=True)):
+            played += mine
+            mean = np.mean([one.score for one in mine])
             which = f", run {run + 1} of {len(runs)}" if len(runs) > 1 else ""
             progress(f"{task.name}{which}: {count} problems, {mean:.3f} of the bound")
     return Submission(name, knows, SUITE_VERSION, tuple(played))
@@ -229,7 +232,8 @@ def check(path: str | Path, *, progress: Callable[[str], None] = lambda line: No
     for name in sorted({one.task for one in found.played}):
         task = SuiteTask(name)
         env = task.make()
-        for one in (one for one in found.played if one.task == name):
+        mine = [one for one in found.played if one.task == name]
+        for one in sorted(mine, key=lambda one: one.problem):  # As they were played.
             done = task.play(env, one.problem, _Again(one.actions))
             true = _record(task, one.run, one.problem, done)
             same = (true.actions, true.success) == (one.actions, one.success)

@@ -1,5 +1,5 @@
-"""The learned builder of designs: network, search, training; it plugs in as a planner and a
-player."""
+"""The learned builder of designs: network, search, training; it plugs in as a planner, a player and
+a policy of the benchmark."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ from learn2assemble.errors import InputError
 from learn2assemble.files import check_exists
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from l2a_lab.builder.tasks import TaskPlayer
     from learn2assemble.assembly.kit import Kit
     from learn2assemble.design.cells import CellDesign
+    from learn2assemble.envs.suite import Choose
     from learn2assemble.planning.plan import Plan
     from learn2assemble.planning.tiling.planners import (
         Chosen,
@@ -85,3 +88,11 @@ def register_planner(table: Registry[Planner]) -> None:
 def register_player(table: Registry[PlayerKind]) -> None:
     """Add builders to what plays tasks."""
     table.register("builder", Builders())
+
+
+def register_policy(table: Registry[Callable[[str], Choose]]) -> None:
+    """Add builders to the policies of the benchmark."""
+    from l2a_lab.builder.policy import GreedyBuilder, SearchingBuilder
+
+    table.register("builder", GreedyBuilder)
+    table.register("builder-with-search", SearchingBuilder)
