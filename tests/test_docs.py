@@ -256,8 +256,6 @@ def test_every_page_has_its_picture() -> None:
 
 MOST_WORDS = 90
 """Of a paragraph, an entry of a list or a cell of a table."""
-LONGER = {"benchmark.md": 170}
-"""Pages that still have longer ones, and how long these may be."""
 
 
 def paragraphs(text: str) -> list[str]:
@@ -283,9 +281,8 @@ def test_paragraphs_are_found() -> None:
 @pytest.mark.parametrize("page", ALL_PAGES, ids=lambda page: page.name)
 def test_paragraphs_are_short(page: Path) -> None:
     """What is longer is a list, a table or two paragraphs."""
-    most = LONGER.get(page.name, MOST_WORDS)
     for one in paragraphs(page.read_text(encoding="utf-8")):
-        assert len(one.split()) <= most, (len(one.split()), one[:100])
+        assert len(one.split()) <= MOST_WORDS, (len(one.split()), one[:100])
 
 
 def test_the_first_page_and_the_changes_are_short() -> None:
