@@ -409,6 +409,7 @@ PAGES = {
     "commands.md": ("flow", "From a drawing to a robot"),
     "design_files.md": ("gallery/figure", "A picture became a wall"),
     "designs.md": ("sides", "Two elevations and the blocks that fill them"),
+    "curves.md": ("learning", "Returns of five agents of DQN while they learn"),
     "deviations.md": ("learning", "Returns of five agents of DQN while they learn"),
     "gallery.md": ("gallery/turned_wall", "A wall of turned bricks"),
     "from_lego.md": ("gallery/lego_tower", "A tower of bricks, from an LDraw file"),

@@ -5,7 +5,7 @@ over the size of targets with the time of their decisions, pictures of both, and
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -157,6 +157,7 @@ _ALL = (
     ),
 )
 FIGURES: dict[str, Curves] = {figure.name: figure for figure in _ALL}
+WITH_ROBOT = tuple(figure for figure in _ALL if figure.name.startswith("robot-"))
 
 
 def load_curves(figure: Curves, runs: Path) -> list[LearningCurve]:
@@ -197,26 +198,26 @@ def time_to(figure: Curves, runs: Path) -> list[Reached]:
     return out
 
 
-def costs_told(runs: Path) -> list[str]:
-    """What the trainings with a robot took, as a table of the documents; minutes are those of the
-    machine and of what went on beside them, so samples say more."""
+def costs_told(figures: Iterable[Curves], runs: Path) -> list[str]:
+    """What trainings took to the paper's returns, as a table of the documents. Minutes are those of
+    the machine and of what went on beside them, so samples say more."""
     told = [
-        "| task, R of the paper | training | agents | samples | minutes each | came to R | "
-        "samples to it | minutes to it |",
-        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |",
+        "| figure | training | agents | samples | minutes each | R of the paper | came to it | "
+        "after samples | after minutes |",
+        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
-    for figure in FIGURES.values():
-        if figure.levels in ROBOT_LEVELS.values():
-            lines = zip(_logs(figure, runs), time_to(figure, runs), strict=True)
-            for (label, logs), reached in lines:
-                minutes = float(np.median([log["seconds"][-1] for log in logs])) / 60
-                first, spent = reached.samples[1], reached.seconds[1] / 60
-                came = (f"{first:,.0f}", f"{spent:.0f}") if np.isfinite(first) else ("–", "–")
-                told.append(
-                    f"| {figure.name}, {reached.level} | {label} | {len(logs)} | "
-                    f"{max(log['samples'][-1] for log in logs):,.0f} | {minutes:.0f} | "
-                    f"{reached.reached} | {came[0]} | {came[1]} |"
-                )
+    for figure in figures:
+        logs = dict(_logs(figure, runs))
+        for reached in time_to(figure, runs):
+            of = logs[reached.label]
+            minutes = float(np.median([log["seconds"][-1] for log in of])) / 60
+            samples, spent = reached.samples[1], reached.seconds[1] / 60
+            came = (f"{samples:,.0f}", f"{spent:.0f}") if np.isfinite(samples) else ("–", "–")
+            told.append(
+                f"| {figure.name} | {reached.label} | {len(of)} | "
+                f"{max(log['samples'][-1] for log in of):,.0f} | {minutes:.0f} | {reached.level} | "
+                f"{reached.reached} | {came[0]} | {came[1]} |"
+            )
     return told
 
 
