@@ -36,20 +36,42 @@ class Detail(str):
         return made
 
 
+class Counting:
+    """Tells how many of many are done, not too often, with an estimate of what the rest takes.
+
+    Args:
+        what: is done with all of them.
+        done: before this began.
+    """
+
+    def __init__(self, what: str, total: int, progress: Progress, done: int = 0) -> None:
+        self.what = what
+        self.total = total
+        self.progress = progress
+        self.first = self.done = done
+        self._began = self._told = time.monotonic()
+
+    def add(self, number: int = 1) -> None:
+        """So many more are done."""
+        self.done += number
+        now = time.monotonic()
+        if now - self._told >= EVERY and self.done < self.total:
+            self._told = now
+            rate = (now - self._began) / (self.done - self.first)
+            left = f"about {rate * (self.total - self.done):.0f} s left"
+            self.progress(Detail(f"{self.what}: {self.done} of {self.total}, {left}"))
+
+
 def counted(items: Sequence[Item], what: str, progress: Progress) -> Iterator[Item]:
-    """The items one after the other, while ``progress`` is told how many were, and an estimate of
-    what the rest takes.
+    """The items one after the other, while ``progress`` is told how many were (:class:`Counting`).
 
     Args:
         what: is done with all of them.
     """
-    began = told = time.monotonic()
-    for number, item in enumerate(items):
-        now = time.monotonic()
-        if number and now - told >= EVERY:
-            told, left = now, (now - began) * (len(items) - number) / number
-            progress(Detail(f"{what}: {number} of {len(items)}, about {left:.0f} s left"))
+    count = Counting(what, len(items), progress)
+    for item in items:
         yield item
+        count.add()
 
 
 def silent(text: str) -> None:

@@ -15,7 +15,7 @@ import os
 import shutil
 import time
 import warnings
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,6 +28,7 @@ from learn2assemble.envs.assembly import AssemblyVectorEnv
 from learn2assemble.envs.designs import DesignEnv
 from learn2assemble.errors import InputError, extra, is_whole, look_up
 from learn2assemble.files import replacing
+from learn2assemble.progress import Counting, Progress, silent
 from learn2assemble.tasks.graph.features import node_offset
 from learn2assemble.tasks.graph.placements import distinct_placements, locate
 from learn2assemble.tasks.networks.agent import default_agent, load_agent, one_thread
@@ -94,7 +95,7 @@ def demonstrate(
     episodes: int = 10_000,
     seed: int = 0,
     workers: int = 1,
-    progress: Callable[[str], object] | None = None,
+    progress: Progress = silent,
 ) -> Demonstrated:
     """Make a data set of demonstrations that Minari reads.
 
@@ -152,12 +153,10 @@ def demonstrate(
         ]
         done = sum(piece.episodes for piece in pieces if _whole(piece))
         left = [piece for piece in pieces if not _whole(piece)]
+        count = Counting("episodes", episodes, progress, done)
         for piece, _ in run_all(_make, left, workers=workers):
-            done += piece.episodes
-            if progress is not None:
-                progress(f"{done} of {episodes} episodes")
-        if progress is not None:
-            progress(f"{done} of {episodes} episodes, putting them together")
+            count.add(piece.episodes)
+        progress(f"{count.done} of {episodes} episodes, putting them together")
         with _datasets_in(parts):
             steps, total, successes = _put_together(minari, task, name, dataset, pieces, parts)
         os.replace(parts / dataset, folder)
