@@ -5,7 +5,7 @@ over the size of targets with the time of their decisions, pictures of both, and
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -198,13 +198,13 @@ def time_to(figure: Curves, runs: Path) -> list[Reached]:
     return out
 
 
-def costs_told(figures: Iterable[Curves], runs: Path) -> list[str]:
+def costs_told(figures: Sequence[Curves], runs: Path) -> list[str]:
     """What trainings took to the paper's returns, as a table of the documents. Minutes are those of
     the machine and of what went on beside them, so samples say more."""
     told = [
-        "| figure | training | agents | samples | minutes each | R of the paper | came to it | "
+        "| training | agents | samples | minutes each | R of the paper | came to it | "
         "after samples | after minutes |",
-        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
+        "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
     for figure in figures:
         logs = dict(_logs(figure, runs))
@@ -213,8 +213,9 @@ def costs_told(figures: Iterable[Curves], runs: Path) -> list[str]:
             minutes = float(np.median([log["seconds"][-1] for log in of])) / 60
             samples, spent = reached.samples[1], reached.seconds[1] / 60
             came = (f"{samples:,.0f}", f"{spent:.0f}") if np.isfinite(samples) else ("–", "–")
+            label = f"{figure.name}: {reached.label}" if len(figures) > 1 else reached.label
             told.append(
-                f"| {figure.name} | {reached.label} | {len(of)} | "
+                f"| {label} | {len(of)} | "
                 f"{max(log['samples'][-1] for log in of):,.0f} | {minutes:.0f} | {reached.level} | "
                 f"{reached.reached} | {came[0]} | {came[1]} |"
             )
