@@ -151,7 +151,7 @@ BASELINES: dict[str, Callable[[], Choose]] = {
 
 def _random(seed: str) -> RandomChoice:
     if not seed.isdecimal():
-        raise InputError("seed", seed, "a whole number of at least 0")
+        raise InputError("policy", f"random:{seed}", "random:SEED, a whole number of at least 0")
     return RandomChoice(int(seed))
 
 
