@@ -102,6 +102,7 @@ _ALL = (
     _published("robot-one-sided", _ROBOT_ONE, _SHORTER),
     _published("one-sided", "one-sided-5x5-15-17", _SHORTER),
     Recipe("relational-cubes", _LARGE, (RecipeStage("relational", ("num_samples=120000",)),)),
+    Recipe("relational-small", _CUBES, (RecipeStage("relational", (_SHORT,)),)),
     Recipe("relational-bars", _BARS, (RecipeStage("relational", (_SHORT,)),)),
     Recipe("relational-objects", _OBJECTS, (RecipeStage("relational-objects"),)),
     Recipe("relational-two-sided", _ROBOT_TWO, (RecipeStage("relational", (_SHORT, _NO_HAND)),)),

@@ -82,7 +82,10 @@ def _columns(
     data: TableData, condition: Condition, entries: Sequence[TableEntry]
 ) -> dict[str, _Text]:
     """Names of columns, and what stands in each."""
-    columns: dict[str, _Text] = {"method": lambda entry: entry.row.name, "agents": _agents}
+    columns: dict[str, _Text] = {
+        "method": lambda entry: entry.row.name,
+        "agents": partial(_agents, condition),
+    }
     beside = compared(condition) and any(entry.paper for entry in entries)
     if beside:
         columns["R, paper"] = partial(_paper, "R")
@@ -279,9 +282,9 @@ def _escape(text: str) -> str:
     return text.replace("*", "\\*").replace("|", "\\|")
 
 
-def _agents(entry: TableEntry) -> str:
-    counts = sorted({summary.agents for summary in entry.results.values()})
-    return entry.state or (DASH if not entry.row.agents else "–".join(map(str, counts)))
+def _agents(condition: Condition, entry: TableEntry) -> str:
+    ours = entry.results.get(condition)
+    return entry.state or (DASH if not entry.row.agents or ours is None else str(ours.agents))
 
 
 def _paper(name: str, entry: TableEntry) -> str:
