@@ -28,6 +28,7 @@ from learn2assemble.motion.record import BuildRecord
 from learn2assemble.motion.settings import ProgramSettings
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.kinematics import forward_many, get_chain
 from test_robot_programs import UrScript
 from test_workcell import planned
 
@@ -160,7 +161,8 @@ def test_blocks_on_places_of_their_own_need_no_refill(tmp_path: Path) -> None:
     done = export_program(record, "urscript", tmp_path)
     assert [place.refills for place in done.places] == [0] * len(record.steps)
     text = done.file.read_text()
-    assert not [call for call, _, _ in UrScript(text).calls if call == "l2a_wait_for_block"]
+    called = [line for lines in steps_of(text) for line in lines]
+    assert not [line for line in called if line.startswith(("l2a_wait_for", "l2a_resumed"))]
     assert "nothing to refill" in about(text)
     assert "REFILL" not in text
 
@@ -194,22 +196,35 @@ def steps_of(script: str) -> list[list[str]]:
 def test_the_program_asks_for_a_block_before_it_takes_it(
     script: str, made: tuple[Program, Arm]
 ) -> None:
-    program, _ = made
+    """On the way back from the step before, where the arm stands away from the place; whoever goes
+    on from a step is asked before the arm is brought there."""
+    program, arm = made
     parsed = UrScript(script)
     assert parsed.top["l2a_refill_by_hand"] == "True"
-    assert {"l2a_wait_for_block", "l2a_wait_until_taken"} <= set(parsed.defined)
-    waits = 0
-    for step, lines in zip(program.steps, steps_of(script), strict=True):
+    assert {"l2a_wait_for_block", "l2a_wait_until_taken", "l2a_resumed"} <= set(parsed.defined)
+    waits, parts = 0, steps_of(script)
+    for number, (step, lines) in enumerate(zip(program.steps, parts, strict=True)):
         assert step.pick is not None
-        asked = [line for line in lines if line.startswith("l2a_wait_for_block(")]
-        assert len(asked) == step.pick.refill
-        if asked:
-            waits += 1
-            place = program.places[step.pick.place - 1]
-            assert asked[0].startswith(f'l2a_wait_for_block({place.number}, "{place.kind}", "step')
-            start = next(k for k, line in enumerate(lines) if line.startswith("l2a_start("))
-            assert lines.index(asked[0]) == start + 1
-            assert lines[start + 2].startswith("movej")
+        if not step.pick.refill:
+            continue
+        waits += 1
+        place = program.places[step.pick.place - 1]
+        wanted = f'{place.number}, "{place.kind}", "step {step.number}: '
+        before = parts[number - 1]
+        (asked,) = (k for k, line in enumerate(before) if line.startswith("l2a_wait_for_block("))
+        assert before[asked].startswith(f"l2a_wait_for_block({wanted}")
+        opened = next(k for k, line in enumerate(before) if line.startswith("l2a_open("))
+        assert opened < asked
+        assert not any(", r=" in line for line in before[asked - 1 : asked])
+        stood = [float(v) for v in before[asked - 1].split("[")[1].split("]")[0].split(",")]
+        assert step.held is not None
+        taken = program.knots.at(np.array([step.held[0]]))[0][0]
+        tool, _ = forward_many(get_chain(arm), np.array([stood, taken]))
+        far = np.linalg.norm(program.steps[number - 1].target[:2] - place.centre[:2])
+        assert np.linalg.norm(tool[0] - tool[1]) > 0.9 * far, "as far as where the last one is"
+        resumed = next(k for k, line in enumerate(lines) if line.startswith("l2a_resumed("))
+        assert lines[resumed].startswith(f"l2a_resumed({step.number}, {wanted}")
+        assert lines[resumed + 1].startswith("l2a_start(")
     assert waits == len(program.steps) - 1 == sum(place.refills for place in program.places)
     body = script[script.index("def l2a_wait_for_block") :]
     assert "if (l2a_refill_by_hand):\n      popup(words" in body[: body.index("  end\n  end")]

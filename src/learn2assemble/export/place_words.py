@@ -257,7 +257,7 @@ def _places(program: Program, arm: Arm, settings: ProgramSettings, refill: str) 
 
 def _refilled(refill: str) -> list[str]:
     first = "Who refills is said by l2a_refill_by_hand below:"
-    by_hand = "by hand: the program stops before such a step and asks for the block"
+    by_hand = "by hand: the arm stops on its way back, away from the place, and asks for the block"
     feeder = "feeder: nothing is asked; the next block has to be there when the arm comes back,"
     mark = " (as exported)"
     return [

@@ -75,10 +75,11 @@ def write_urscript(
         raise InputError("format", f"urscript for {arm.name}", "the arm ur5e")
     text = _head(program, arm, settings or ProgramSettings(), resume_from, refill)
     told = sorted(_told(program, arm), key=lambda one: one.time)
-    checks = [time for step in program.steps for time in step.checks]
+    halts = [time for step in program.steps for time in step.checks]
+    halts += [time for k in range(len(program.steps)) if (time := _aside(program, arm, k))]
     lines: list[str] = []
     for begin, end in motions(program):
-        for part in _lines(program, arm, begin, end, checks):
+        for part in _lines(program, arm, begin, end, halts):
             while told and told[0].time <= part.time + 1e-6:
                 lines.append(told.pop(0).text)
             lines.append(part.text)
@@ -160,10 +161,8 @@ class _Line(NamedTuple):
     text: str
 
 
-def _lines(
-    program: Program, arm: Arm, begin: int, end: int, checks: list[float]
-) -> Iterator[_Line]:
-    """The moves of one motion, whose knots are begin..end."""
+def _lines(program: Program, arm: Arm, begin: int, end: int, halts: list[float]) -> Iterator[_Line]:
+    """The moves of one motion, whose knots are begin..end; at ``halts`` [s] the robot stands."""
     knots, limits = program.knots, arm.bounds
     q = knots.position[begin : end + 1]
     speed = np.abs(knots.velocity[begin : end + 1])
@@ -175,7 +174,9 @@ def _lines(
         left = np.linalg.norm(tool - tool[-1], axis=1)
         cuts.add(int(np.flatnonzero(left > distance)[-1]) + 1 if (left > distance).any() else 0)
     stops = {k for k in range(len(q)) if speed[k].max() < 5 * SLOWEST}
-    stops |= set(np.searchsorted(knots.time, np.array(checks) - 1e-6) - begin)
+    halted: list[int] = (np.searchsorted(knots.time, np.array(halts) - 1e-6) - begin).tolist()
+    stops |= set(halted)
+    cuts |= {k for k in halted if 0 < k < len(q) - 1}
     found = sorted(cuts)
     corners = found[:1]
     for a, b in pairwise(found):
@@ -213,15 +214,20 @@ def _told(program: Program, arm: Arm) -> Iterator[_Line]:
     for k, step in enumerate(program.steps):
         first = program.knots.at(np.array([begin]))[0][0]
         state = program.states[int(program.states_at(np.array([begin]))[0])]
+        aside, resumed = _aside(program, arm, k), ""
+        if aside is not None:
+            yield _Line(aside, f"l2a_wait_for_block({_wanted(program, step)})")
+            resumed = f"l2a_resumed({step.number}, {_wanted(program, step)})\n"
+        refill = f"\nl2a_wait_for_block({_wanted(program, step)})" if _lacks(step) else ""
         yield _Line(
             begin,
             "end\n" * bool(k)
             + (
                 f"# step {_step_words(program, step)}\n"
                 f"if (l2a_resume_from <= {step.number}):\n"
-                f"{_pauses(program, k)}"
+                f"{_pauses(program, k)}{resumed}"
                 f"l2a_start({step.number}, [{_list(first)}], {state.width:.4f}, {state.speed:.3f})"
-                f"{_taken_back(program, k)}{_refill(program, step)}"
+                f"{_taken_back(program, k)}{'' if resumed else refill}"
             ),
         )
         for time in step.checks:
@@ -265,15 +271,36 @@ def _step_words(program: Program, step: ProgramStep) -> str:
     return plain(said + " (failed in the build)" * (not step.reached))
 
 
-def _refill(program: Program, step: ProgramStep) -> str:
-    """A call that waits until the block of a step lies at its place, in a line of its own."""
-    if step.pick is None or not step.pick.refill:
-        return ""
+def _lacks(step: ProgramStep) -> bool:
+    """Whether someone has to lay the block of a step at its place first."""
+    return step.pick is not None and step.pick.refill
+
+
+def _wanted(program: Program, step: ProgramStep) -> str:
+    """The block that someone has to lay at its place, as arguments of ``l2a_wait_for_block``."""
+    assert step.pick is not None
     place = program.places[step.pick.place - 1]
     kind = plain(place.what)
     words = f"step {step.number}: lay one {kind} ({size_words(place)} mm) at place {place.number}"
-    words += ", then go on"
-    return f'\nl2a_wait_for_block({place.number}, "{kind}", "{words}")'
+    return f'{place.number}, "{kind}", "{words}, then go on"'
+
+
+def _aside(program: Program, arm: Arm, number: int) -> float | None:
+    """When the arm waits for the block of a step to be laid [s]: on its way back from the step
+    before, where the tool is farthest from the place, as steps begin right over it. None where
+    nothing has to be laid, or nothing was let go before."""
+    if not number or not _lacks(program.steps[number]):
+        return None
+    before, step = program.steps[number - 1], program.steps[number]
+    if before.held is None or step.held is None:
+        return None
+    time = program.knots.time
+    times = time[(time > before.held[1] + 1e-6) & (time < before.end - 1e-6)]
+    if not len(times):
+        return None
+    q = program.knots.at(np.append(times, step.held[0]))[0]
+    tool, _ = forward_many(get_chain(arm), np.ascontiguousarray(q))
+    return float(times[norm(tool[:-1] - tool[-1], axis=1).argmax()])
 
 
 def _taken_back(program: Program, done: int) -> str:
