@@ -439,7 +439,7 @@ def test_a_refusal_names_cells_and_what_would_carry_them() -> None:
     gate = shapes.wall(8, 1, 6, (2, 6, 0, 4))
     tiling, _ = plan_exact(gate, load_kit("cubes"))
     assert tiling.status == "refused"
-    assert "no block of kit `cubes` spans 4 cells at level 4" in tiling.reason
+    assert "nothing below carries 4 cells in a row at level 4" in tiling.reason
     assert uncarried_cells(gate, load_kit("cubes"))[:, 2].tolist() == [4] * 4
     tiling, ordering = plan_exact(gate, LINTELS, props_allowed=False)
     assert ordering is not None
@@ -503,7 +503,7 @@ def test_a_deck_that_no_bricks_carry_is_told_apart_from_one_that_is_proven_to_fa
     tiling, ordering = plan_exact(shapes.bridge(1, 6, 4, 3, 2), load_kit("bricks"), seconds=600)
     assert ordering is None
     assert tiling.status == "not found"
-    assert "spans 4 cells at level 3" in tiling.reason
+    assert "carries 4 cells in a row at level 3" in tiling.reason
     assert "the finished building would fall" in tiling.reason
 
 

@@ -171,9 +171,8 @@ class Building:
             piece = self.world.pieces[action.block]
             left = sum(not self.known.satisfied(step) for step in self.known.order)
             how = "by hand" if last.hand else f"attempt {last.number}"
-            text = (
-                f"{how}: {last.what} {piece.id} ({piece.name}): {last.outcome}, {left} steps left"
-            )
+            text = f"{how}: {last.what} {piece.id} ({piece.name}): {last.outcome}, "
+            text += f"{left} step{'s' * (left != 1)} left"
             progress(Detail(text))
         return f"given up after {most} attempts"
 

@@ -307,7 +307,8 @@ class Together(Generic[Cell]):
         last = building.known.done[-1]
         left = sum(not building.known.satisfied(step) for step in building.known.order)
         text = f"{self.worked[who].name}: {last.what} {world.pieces[action.block].id}: "
-        text += f"{last.outcome}{': ' + last.detail if last.detail else ''}, {left} steps left"
+        text += f"{last.outcome}{': ' + last.detail if last.detail else ''}, "
+        text += f"{left} step{'s' * (left != 1)} left"
         progress(Detail(text))
         return True
 

@@ -126,7 +126,8 @@ def kind_of(content: bytes, source: str) -> str:
         return "stl"
     if re.search(rb"^v\s+[-+.\d]", content, re.MULTILINE) and b"\0" not in start:
         return "obj"
-    got = f"{len(content)} bytes that begin with {content[:12]!r}" if content else "an empty file"
+    shown = ascii(content[:12].decode("latin-1"))
+    got = f"{len(content)} bytes that begin with {shown}" if content else "an empty file"
     if content.startswith(b"\x1f\x8b"):
         got = "a file packed with gzip"
     elif Path(source).suffix.casefold() == ".stl":

@@ -320,4 +320,7 @@ def describe_lack(kit: Kit, wanted: np.ndarray, cells: np.ndarray) -> str:
     first = (int(at[0, 0]), int(at[0, 1]), level)
     if run == 1:
         return f"no block of kit `{kit.name}` carries the cell {first}"
-    return f"no block of kit `{kit.name}` spans {run} cells at level {level} (the first is {first})"
+    return (
+        f"nothing below carries {run} cells in a row at level {level} (the first is {first}), and "
+        f"no block of kit `{kit.name}` that stands by itself reaches over them"
+    )
