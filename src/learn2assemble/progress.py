@@ -45,10 +45,11 @@ class Counting:
     """
 
     def __init__(self, what: str, total: int, progress: Progress, done: int = 0) -> None:
-        self.what = what
-        self.total = total
-        self.progress = progress
-        self.first = self.done = done
+        self.what: str = what
+        self.total: int = total
+        self.progress: Progress = progress
+        self.first: int = done
+        self.done: int = done
         self._began = self._told = time.monotonic()
 
     def add(self, number: int = 1) -> None:
