@@ -78,10 +78,10 @@ def _write(folder: Path, kernel: str, share: float, fields: str) -> None:
             file.write_text(text, encoding="utf-8")
 
 
-def _run(folder: Path) -> tuple[list[float], int]:
+def _run(folder: Path, script: str = SCRIPT) -> tuple[list[float], int]:
     """Results of a process of its own, and how many functions it did not compile."""
     done = subprocess.run(
-        [sys.executable, "-c", SCRIPT],
+        [sys.executable, "-c", script],
         cwd=folder,
         capture_output=True,
         text=True,
@@ -111,3 +111,13 @@ def test_without_the_guard_old_results_come(tmp_path: Path) -> None:
     assert _run(tmp_path) == (OLD, 0)
     _write(tmp_path, BARE, 4.0, "long wide")
     assert _run(tmp_path) == (MIXED, 5)
+
+
+def test_a_class_that_was_renamed_is_compiled(tmp_path: Path) -> None:
+    """What is kept names the classes of its arguments: a new name is no reason to stop."""
+    for name in ("Pair", "Couple"):
+        _write(tmp_path, GUARDED, 2.0, "wide long")
+        text = (tmp_path / "callee.py").read_text(encoding="utf-8").replace("Pair", name)
+        (tmp_path / "callee.py").write_text(text, encoding="utf-8")
+        made = _run(tmp_path, SCRIPT.replace("Pair", name))
+        assert made[0] == OLD

@@ -20,12 +20,12 @@ from learn2assemble.planning.tiling import tile as tile_module
 from learn2assemble.planning.tiling.candidates import (
     COSTS,
     BlockPlacement,
-    convex_hull,
+    filled_pairs,
     find_candidates,
-    support_margin,
 )
 from learn2assemble.planning.tiling.retiling import improve_bond
 from learn2assemble.planning.tiling.tile import Tiling, find_seams, owners, seams_bridged, tile
+from learn2assemble.planning.tiling.ways import convex_hull, support_margin
 
 LINTELS = load_kit("bricks-lintels")
 SMALL = Kit("small", tuple(Kind(f"1x{n}", tuple((k, 0, 0) for k in range(n))) for n in (1, 2, 3)))
@@ -72,6 +72,58 @@ def blocks_of(wanted: np.ndarray, kit: Kit, picked: list[int]) -> tuple[BlockPla
         )
         for p in picked
     )
+
+
+@settings(max_examples=60, deadline=None)
+@given(wanted=designs(), name=st.sampled_from(["bricks-lintels", "tetrominoes", "planks"]))
+def test_candidates_are_what_one_finds_by_looking(wanted: np.ndarray, name: str) -> None:
+    """Every way at every origin, in order, with the margins of what carries it."""
+    kit = load_kit(name)
+    found, seen = find_candidates(wanted, kit), list[tuple[int, ...]]()
+    for number, way in enumerate(orientations(kit)):
+        for origin in np.ndindex(*wanted.shape):
+            cells = np.array(way.cells) + origin
+            if (cells >= wanted.shape).any() or not wanted[tuple(cells.T)].all():
+                continue
+            own = set(map(tuple, cells.tolist()))
+            slots = [
+                (*c[:2], range(c[2] + 1, other[2]))
+                for c in own
+                for other in own
+                if other[:2] == c[:2] and other[2] > c[2] + 1
+                if not any((*c[:2], z) in own for z in range(c[2] + 1, other[2]))
+            ]
+            if any(all(wanted[x, y, z] for z in levels) for x, y, levels in slots):
+                continue
+            seen.append((number, *origin))
+            n = len(seen) - 1
+            low = np.array([(x, y, z - 1) not in own for x, y, z in cells.tolist()])
+            bears = [
+                lowest and (z == 0 or bool(wanted[x, y, z - 1]))
+                for lowest, (x, y, z) in zip(low, cells.tolist(), strict=True)
+            ]
+            assert found.cell[found.start[n] : found.start[n + 1]].tolist() == [
+                np.ravel_multi_index(c, wanted.shape) for c in cells
+            ]
+            assert found.lowest[found.start[n] : found.start[n + 1]].tolist() == low.tolist()
+            assert found.hanging[n] == pytest.approx(1 - sum(bears) / low.sum())
+            assert found.support[n] == support_margin(np.array(way.cells), np.array(bears), kit)
+    assert np.column_stack([found.way, found.origin]).tolist() == [list(one) for one in seen]
+    for axis in (0, 1):
+        which, place = filled_pairs(found, axis)
+        step = np.eye(3, dtype=int)[axis]
+        expected = Counter(
+            (n, *c)
+            for n in range(len(found))
+            for c in zip(
+                *np.unravel_index(found.cell[found.start[n] : found.start[n + 1]], wanted.shape),
+                strict=True,
+            )
+            if np.ravel_multi_index(tuple(np.add(c, step)), wanted.shape, mode="clip")
+            in found.cell[found.start[n] : found.start[n + 1]]
+            and (np.add(c, step) < wanted.shape).all()
+        )
+        assert Counter(zip(which.tolist(), *place.T.tolist(), strict=True)) == expected
 
 
 # ---------------------------------------------------------------- exact covers

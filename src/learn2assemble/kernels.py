@@ -37,6 +37,16 @@ class _KernelCache(FunctionCache):
     def __init__(self, function: Any) -> None:
         super().__init__(function)
         self.own: object = self._cache_file._source_stamp
+        load: Callable[[], dict[Any, Any]] = self._cache_file._load_index
+
+        def load_index() -> dict[Any, Any]:
+            """What is kept; nothing where it names a class that is called otherwise by now."""
+            try:
+                return load()
+            except (AttributeError, ImportError):
+                return {}
+
+        self._cache_file._load_index = load_index
 
     @cached_property
     def read(self) -> tuple[dict[str, object], list[_KernelCache]]:

@@ -71,17 +71,11 @@ def make_problem(goals: Goals) -> GoalProblem:
     """Every candidate of some goals."""
     site = make_site(goals.open, goals.kit)
     found = site.found
-    ways = [np.array(way.cells) for way in found.ways]
-    low = [np.array([(x, y, z - 1) not in set(w.cells) for x, y, z in w.cells]) for w in found.ways]
     strides = np.array([goals.shape[1] * goals.shape[2], goals.shape[2], 1])
-    flat = found.origin @ strides
-    number: list[int] = found.way.tolist()
-    beds = [flat[k] + ways[w][low[w]] @ strides for k, w in enumerate(number)]
-    middle = np.array([cells[:, :2].mean(0) + 0.5 for cells in ways])
+    middle = np.array([np.mean(way.cells, axis=0)[:2] + 0.5 for way in found.ways])
     must = np.argwhere(goals.must)
     must = must[np.argsort(-must[:, 2], kind="stable")] @ strides
-    none = np.empty(0, np.int64)
-    centre = found.origin[:, :2] + middle[found.way] if beds else np.empty((0, 2))
+    centre = found.origin[:, :2] + middle[found.way]
     heavy, mass = centre.copy(), site.weight[found.way].copy()
     for load in goals.loads:
         c = int(np.ravel_multi_index(load.cell, goals.shape))
@@ -95,8 +89,8 @@ def make_problem(goals: Goals) -> GoalProblem:
         site,
         np.argsort(found.origin[:, 2], kind="stable"),
         _beside(found.start, found.cell, strides[0], strides[1]),
-        np.concatenate([[0], np.cumsum([len(bed) for bed in beds])]).astype(np.int64),
-        np.concatenate(beds) if beds else none,
+        np.concatenate([[0], np.cumsum(found.lowest)])[found.start],
+        found.cell[found.lowest],
         centre,
         heavy,
         must,

@@ -6,13 +6,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from learn2assemble.assembly.kit import Cell, Kit, Orientation, orientations
 from learn2assemble.kernels import kernel
-from learn2assemble.linear_programs import INF
+from learn2assemble.planning.tiling.ways import WayCells, WayTable, ways_of
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,8 @@ class BlockPlacement:
 class Candidates:
     """Every way to put one block into a design, as arrays."""
 
-    ways: tuple[Orientation, ...]
+    table: WayTable
+    """Of the kit."""
     way: np.ndarray
     """int64[n]: index into ``ways``."""
     origin: np.ndarray
@@ -74,14 +74,28 @@ class Candidates:
         return len(self.way)
 
     @property
+    def ways(self) -> tuple[Orientation, ...]:
+        """All ways of the kit."""
+        return self.table.all
+
+    @property
     def kind(self) -> np.ndarray:
         """int64[n]: index into the kinds of the kit."""
-        return np.array([way.kind for way in self.ways], np.int64)[self.way]
+        return self.table.kind[self.way]
 
-    @cached_property
+    @property
     def extents(self) -> np.ndarray:
         """int64[ways, 3]: cells along x, y and z of each way."""
-        return np.array([np.max(way.cells, axis=0) + 1 for way in self.ways])
+        return self.table.shapes.extent
+
+    @cached_property
+    def lowest(self) -> np.ndarray:
+        """bool[start[n]], of all cells: no cell of the same candidate is right below."""
+        shapes = self.table.shapes
+        inner = np.arange(len(self.cell)) + np.repeat(
+            shapes.start[self.way] - self.start[:-1], self.size()
+        )
+        return shapes.lowest[inner]
 
     def size(self) -> np.ndarray:
         """int64[n]: cells of every candidate."""
@@ -94,7 +108,7 @@ class Candidates:
         inner = np.arange(int(start[-1])) - np.repeat(start[:-1], size)
         cell = self.cell[np.repeat(self.start[keep], size) + inner]
         return Candidates(
-            self.ways,
+            self.table,
             self.way[keep],
             self.origin[keep],
             start,
@@ -129,74 +143,6 @@ def from_below(blocks: Iterable[BlockPlacement]) -> tuple[BlockPlacement, ...]:
     return tuple(sorted(blocks, key=lambda block: block.origin[::-1]))
 
 
-def support_margin(cells: np.ndarray, carried: np.ndarray, kit: Kit) -> float:
-    """How far inside the hull of its carried cells the centroid of a block is [cells].
-
-    Args:
-        cells: int[m, 3], cells of the block.
-        carried: bool[m]: what is below bears this cell.
-        kit: for the joint gap, by half of which bed faces are smaller than cells.
-    """
-    plan = cells[:, :2] - cells[:, :2].min(0)
-    inset = tuple(kit.joint_gap / 2 / pitch for pitch in kit.pitch[:2])
-    return _support_margin(plan.astype(np.int64).tobytes(), carried.tobytes(), inset)
-
-
-@lru_cache(maxsize=1 << 16)
-def _support_margin(plan: bytes, bears: bytes, inset: tuple[float, ...]) -> float:
-    """:func:`support_margin` of int64[m, 2] and bool[m] as bytes; few patterns come up often."""
-    cells = np.frombuffer(plan, np.int64).reshape(-1, 2)
-    carried = np.frombuffer(bears, bool)
-    if not carried.any():
-        return -INF
-    centre = cells.mean(0) + 0.5
-    hull = hull_of_boxes(cells[carried] + inset, cells[carried] + 1 - np.array(inset))
-    edge = np.roll(hull, -1, 0) - hull
-    beyond = edge[:, 0] * (centre[1] - hull[:, 1]) - edge[:, 1] * (centre[0] - hull[:, 0])
-    return float((beyond / np.hypot(edge[:, 0], edge[:, 1])).min())
-
-
-def hull_of_boxes(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """float64[h, 2]: the convex hull of rectangles with the corners float64[n, 2]."""
-    ends = np.stack([low, high])
-    return convex_hull(
-        np.concatenate(
-            [np.stack([ends[i, :, 0], ends[j, :, 1]], -1) for i in (0, 1) for j in (0, 1)]
-        )
-    )
-
-
-@kernel
-def convex_hull(points: np.ndarray) -> np.ndarray:
-    """float64[h, 2]: corners of the hull of float64[n, 2], counter-clockwise, none on an edge."""
-    order = np.argsort(points[:, 1], kind="mergesort")
-    order = order[np.argsort(points[order, 0], kind="mergesort")]
-    line, count = np.empty((len(order), 2)), 0
-    for k in order:
-        x, y = points[k, 0], points[k, 1]
-        if count == 0 or line[count - 1, 0] != x or line[count - 1, 1] != y:
-            line[count, 0], line[count, 1] = x, y
-            count += 1
-    if count < 3:
-        return line[:count]
-    # Along the lower side, and back along the upper one; the end of each begins the other.
-    out, size = np.empty((2 * count, 2)), 0
-    for way in range(2):
-        first = size
-        for i in range(count):
-            x, y = line[count - 1 - i if way else i]
-            while size - first > 1:
-                ax, ay = out[size - 2]
-                bx, by = out[size - 1]
-                if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 1e-9:
-                    break
-                size -= 1
-            out[size, 0], out[size, 1] = x, y
-            size += 1
-        size -= 1
-    return out[:size]
-
-
 def find_candidates(
     wanted: np.ndarray,
     kit: Kit,
@@ -217,57 +163,94 @@ def find_candidates(
     """
     ground = np.ones(wanted.shape[:2], bool) if below is None else below
     carried = np.concatenate([ground[:, :, None], wanted[:, :, :-1]], 2)
-    flat_carried = carried.reshape(-1)
-    ways, strides = orientations(kit), np.array([*wanted.shape[1:], 1])[::-1].cumprod()[::-1]
-    parts: list[tuple[Any, ...]] = [
-        (
-            none := np.empty(0, np.int64),
-            np.empty((0, 3), np.int64),
-            none,
-            none,
-            np.empty(0),
-            np.empty(0),
-            none,
-        ),
-    ]
-    for number, way in enumerate(ways):
-        cells = np.array(way.cells)
-        extent = cells.max(0) + 1
-        if (extent > wanted.shape).any() or (flat_only and extent[2] > 1):
-            continue
-        room = np.array(wanted.shape) - extent + 1
-        fits = np.ones(room, bool)
-        for x, y, z in way.cells:
-            fits &= wanted[x : x + room[0], y : y + room[1], z : z + room[2]]
-        for x, y, low, high in _slots(way.cells):
-            full = wanted[x : x + room[0], y : y + room[1]]
-            fits &= ~np.all([full[:, :, z : z + room[2]] for z in range(low, high)], axis=0)
-        origin = np.argwhere(fits)
-        if not len(origin):
-            continue
-        index = (origin @ strides)[:, None] + cells @ strides
-        lowest = np.array([(x, y, z - 1) not in way.cells for x, y, z in way.cells])
-        bears = flat_carried[index] & lowest
-        patterns, which = np.unique(bears, axis=0, return_inverse=True)
-        margins = np.array([support_margin(cells, pattern, kit) for pattern in patterns])
-        parts.append(
-            (
-                np.full(len(origin), number),
-                origin,
-                index.reshape(-1),
-                np.full(len(origin), len(cells)),
-                margins[which.reshape(-1)],
-                1 - bears.sum(1) / lowest.sum(),
-                np.zeros(len(origin), np.int64)
-                if shades is None
-                else strange_cells(shades.reshape(-1)[index]),
-            )
-        )
-    which, origin, cell, size, support, hanging, strange = map(
-        np.concatenate, zip(*parts, strict=True)
+    table, wanted = ways_of(kit), np.ascontiguousarray(wanted)
+    tall = 1 if flat_only else wanted.shape[2]
+    way, origin, start, cell, bears, hanging = _fitting(
+        wanted, np.argwhere(wanted), carried, tall, table.shapes
     )
-    start = np.concatenate([[0], np.cumsum(size)])
-    return Candidates(ways, which, origin, start, cell, support, hanging, strange)
+    support = table.margins(way, bears, start)
+    strange = np.zeros(len(way), np.int64)
+    if shades is not None:
+        tint, first = shades.reshape(-1)[cell], np.searchsorted(way, np.arange(len(table.all) + 1))
+        for low, high in pairwise(first.tolist()):
+            if high > low:
+                of_way = tint[start[low] : start[high]].reshape(high - low, -1)
+                strange[low:high] = strange_cells(of_way)
+    return Candidates(table, way, origin, start, cell, support, hanging, strange)
+
+
+@kernel
+def _fitting(
+    wanted: np.ndarray, cells: np.ndarray, carried: np.ndarray, tall: int, shapes: WayCells
+) -> tuple[np.ndarray, ...]:
+    """Everywhere where a block lies inside what is wanted, by way and then by origin.
+
+    Args:
+        wanted: bool[X, Y, Z].
+        cells: int64[m, 3], those that are wanted, in C order.
+        carried: bool[X, Y, Z], of each cell: what is below bears.
+        tall: levels of the tallest way.
+
+    Returns:
+        tuple: ``way``, ``origin``, ``start`` and ``cell`` as in :class:`Candidates`;
+        bool[start[n]], which lowest cells are borne; float64[n], the share of the lowest cells that
+        are not.
+    """
+    x_room, y_room, z_room = wanted.shape
+    ways = len(shapes.start) - 1
+    fits = np.zeros((ways, len(cells)), np.bool_)
+    number, total = 0, 0
+    for w in range(ways):
+        first, end = shapes.start[w], shapes.start[w + 1]
+        dx, dy, dz = shapes.extent[w]
+        if dz > tall:
+            continue
+        for m in range(len(cells)):
+            # The first cell of a block is a wanted one.
+            x = cells[m, 0] - shapes.cell[first, 0]
+            y = cells[m, 1] - shapes.cell[first, 1]
+            z = cells[m, 2] - shapes.cell[first, 2]
+            good = x >= 0 and y >= 0 and z >= 0
+            good = good and x + dx <= x_room and y + dy <= y_room and z + dz <= z_room
+            k = first + 1
+            while good and k < end:
+                at = shapes.cell[k]
+                good = wanted[x + at[0], y + at[1], z + at[2]]
+                k += 1
+            s = shapes.slot_start[w]
+            while good and s < shapes.slot_start[w + 1]:
+                slot, full = shapes.slot[s], True
+                for level in range(slot[2], slot[3]):
+                    full = full and wanted[x + slot[0], y + slot[1], z + level]
+                good = not full
+                s += 1
+            if good:
+                fits[w, m] = True
+                number += 1
+                total += end - first
+    way, origin = np.empty(number, np.int64), np.empty((number, 3), np.int64)
+    start, cell = np.empty(number + 1, np.int64), np.empty(total, np.int64)
+    bears, hanging = np.empty(total, np.bool_), np.empty(number)
+    n, at_cell = 0, 0
+    for w in range(ways):
+        first, end = shapes.start[w], shapes.start[w + 1]
+        for m in range(len(cells)):
+            if not fits[w, m]:
+                continue
+            way[n], start[n] = w, at_cell
+            origin[n] = cells[m] - shapes.cell[first]
+            low, borne = 0, 0
+            for k in range(first, end):
+                x, y, z = origin[n] + shapes.cell[k]
+                cell[at_cell] = (x * y_room + y) * z_room + z
+                bears[at_cell] = shapes.lowest[k] and carried[x, y, z]
+                low += shapes.lowest[k]
+                borne += bears[at_cell]
+                at_cell += 1
+            hanging[n] = 1 - borne / low
+            n += 1
+    start[number] = at_cell
+    return way, origin, start, cell, bears, hanging
 
 
 def strange_cells(shades: np.ndarray) -> np.ndarray:
@@ -277,19 +260,6 @@ def strange_cells(shades: np.ndarray) -> np.ndarray:
         shades: int[n, m], those of the cells of n blocks.
     """
     return shades.shape[1] - (shades[:, :, None] == shades[:, None]).sum(2).max(1)
-
-
-def _slots(cells: tuple[Cell, ...]) -> list[tuple[int, int, int, int]]:
-    """``x, y, low, high``: levels between two cells of a block, one above the other."""
-    columns: dict[tuple[int, int], list[int]] = {}
-    for x, y, z in sorted(cells):
-        columns.setdefault((x, y), []).append(z)
-    return [
-        (*at, low + 1, high)
-        for at, levels in columns.items()
-        for low, high in pairwise(levels)
-        if high > low + 1
-    ]
 
 
 def standing_cost(candidates: Candidates) -> np.ndarray:
@@ -329,12 +299,25 @@ def glued(candidates: Candidates, edges: tuple[np.ndarray, np.ndarray]) -> np.nd
 def filled_pairs(candidates: Candidates, axis: int) -> tuple[np.ndarray, np.ndarray]:
     """Pairs of neighbours along an axis both of which a candidate fills: the candidates (int64[m]),
     and the first cell of each pair (int64[m, 3])."""
-    which: list[np.ndarray] = [np.empty(0, np.int64)]
-    place: list[np.ndarray] = [np.empty((0, 3), np.int64)]
-    for number, way in enumerate(candidates.ways):
-        chosen = np.flatnonzero(candidates.way == number)
-        for x, y, z in way.cells:
-            if (x + (axis == 0), y + (axis == 1), z) in way.cells:
-                which.append(chosen)
-                place.append(candidates.origin[chosen] + (x, y, z))
-    return np.concatenate(which), np.concatenate(place)
+    order = np.argsort(candidates.way, kind="stable")
+    first = np.searchsorted(candidates.way[order], np.arange(len(candidates.ways) + 1))
+    return _filled_pairs(candidates.origin, order, first, candidates.table.shapes, axis)
+
+
+@kernel
+def _filled_pairs(
+    origin: np.ndarray, order: np.ndarray, first: np.ndarray, shapes: WayCells, axis: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """:func:`filled_pairs`, of candidates in an order by ways that begin at ``first``."""
+    pairs, total = shapes.pair_start[axis], 0
+    for w in range(len(first) - 1):
+        total += (first[w + 1] - first[w]) * (pairs[w + 1] - pairs[w])
+    which, place = np.empty(total, np.int64), np.empty((total, 3), np.int64)
+    k = 0
+    for w in range(len(first) - 1):
+        for p in range(pairs[w], pairs[w + 1]):
+            for n in order[first[w] : first[w + 1]]:
+                which[k] = n
+                place[k] = origin[n] + shapes.pair[p]
+                k += 1
+    return which, place

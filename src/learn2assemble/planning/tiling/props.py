@@ -13,10 +13,10 @@ from learn2assemble.planning.tiling.candidates import (
     BlockPlacement,
     from_below,
     placement_cells,
-    support_margin,
 )
 from learn2assemble.planning.tiling.ordering import leaves, way_out
 from learn2assemble.planning.tiling.tile import Tiling
+from learn2assemble.planning.tiling.ways import support_margin
 
 FIRM = 1e-9
 """How far inside its support a centroid has to be [cells]."""

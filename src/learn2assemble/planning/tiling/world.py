@@ -16,7 +16,8 @@ the new state stands. Candidates are found once; every placement then changes on
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,13 +84,30 @@ class LatticeSite:
         Raises:
             KeyError: where it is none, because nothing carries it.
         """
-        ways = self.found.ways
-        for index in np.flatnonzero((self.found.origin == placement.origin).all(1)):
-            way = ways[int(self.found.way[index])]
-            name = self.kit.kinds[way.kind].name
-            if (name, way.turn) == (placement.kind, placement.turn):
-                return int(index)
-        raise KeyError(placement)
+        way = self._way_of.get((placement.kind, placement.turn), -1)
+        number: np.int64 = self._place_number(way, *placement.origin)
+        index = int(np.searchsorted(self._places, number))
+        found = index < len(self) and self.found.way[index] == way
+        if not found or tuple(self.found.origin[index].tolist()) != placement.origin:
+            raise KeyError(placement)
+        return index
+
+    def _place_number(self, way: Any, x: Any, y: Any, z: Any) -> Any:
+        """Grows with the way of a candidate, then with x, y and z of its origin."""
+        wide, deep, high = self.wanted.shape
+        return ((way * wide + x) * deep + y) * high + z
+
+    @cached_property
+    def _places(self) -> np.ndarray:
+        """int64[n]: numbers by which candidates are in order."""
+        x, y, z = self.found.origin.T
+        return self._place_number(self.found.way, x, y, z)
+
+    @cached_property
+    def _way_of(self) -> dict[tuple[str, int], int]:
+        """Numbers of ways by kinds and turns."""
+        kinds = self.kit.kinds
+        return {(kinds[way.kind].name, way.turn): k for k, way in enumerate(self.found.ways)}
 
 
 def make_site(wanted: np.ndarray, kit: Kit, props: bool = False) -> LatticeSite:
@@ -110,17 +128,11 @@ def make_site(wanted: np.ndarray, kit: Kit, props: bool = False) -> LatticeSite:
         needed = np.logical_or.reduceat(~firm[found.cell], found.start[:-1])
         good |= needed & (found.support > -np.inf)
     found = found.take(np.flatnonzero(good))
-    ways = orientations(kit)
-    kinds = np.array([way.kind for way in ways], np.int64)
     n, cells = len(found), wanted.size
     candidate = np.repeat(np.arange(n), found.size())
     over_start, over = _grouped(found.cell, candidate, cells)
-    # A lowest cell of a block has none of the same block below it.
-    lowest = [np.array([(x, y, z - 1) not in set(w.cells) for x, y, z in w.cells]) for w in ways]
-    way_of: list[int] = found.way.tolist()
-    low = np.concatenate([lowest[w] for w in way_of]) if n else np.empty(0, bool)
     z = found.cell % wanted.shape[2]
-    rests = low & (z > 0) & wanted.reshape(-1)[np.maximum(found.cell - 1, 0)]
+    rests = found.lowest & (z > 0) & wanted.reshape(-1)[np.maximum(found.cell - 1, 0)]
     on_start, on = _grouped(found.cell[rests] - 1, candidate[rests], cells)
     weight, centre = _bodies(
         replace(kit, kinds=tuple(replace(kind, count=None) for kind in kit.kinds))
@@ -130,7 +142,7 @@ def make_site(wanted: np.ndarray, kit: Kit, props: bool = False) -> LatticeSite:
         wanted,
         kit,
         found,
-        kinds[found.way],
+        found.kind,
         over_start,
         over,
         on_start,
