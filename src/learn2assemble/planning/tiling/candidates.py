@@ -162,11 +162,12 @@ def find_candidates(
         shades: int[X, Y, Z], equal where cells have one colour.
     """
     ground = np.ones(wanted.shape[:2], bool) if below is None else below
-    carried = np.concatenate([ground[:, :, None], wanted[:, :, :-1]], 2)
+    # Arrays of one layout: of every other one the kernel would be compiled anew.
+    carried = np.ascontiguousarray(np.concatenate([ground[:, :, None], wanted[:, :, :-1]], 2))
     table, wanted = ways_of(kit), np.ascontiguousarray(wanted)
     tall = 1 if flat_only else wanted.shape[2]
     way, origin, start, cell, bears, hanging = _fitting(
-        wanted, np.argwhere(wanted), carried, tall, table.shapes
+        wanted, np.ascontiguousarray(np.argwhere(wanted)), carried, tall, table.shapes
     )
     support = table.margins(way, bears, start)
     strange = np.zeros(len(way), np.int64)
@@ -202,8 +203,7 @@ def _fitting(
     number, total = 0, 0
     for w in range(ways):
         first, end = shapes.start[w], shapes.start[w + 1]
-        dx, dy, dz = shapes.extent[w]
-        if dz > tall:
+        if shapes.extent[w, 2] > tall:
             continue
         for m in range(len(cells)):
             # The first cell of a block is a wanted one.
@@ -211,18 +211,19 @@ def _fitting(
             y = cells[m, 1] - shapes.cell[first, 1]
             z = cells[m, 2] - shapes.cell[first, 2]
             good = x >= 0 and y >= 0 and z >= 0
-            good = good and x + dx <= x_room and y + dy <= y_room and z + dz <= z_room
+            good = good and x + shapes.extent[w, 0] <= x_room
+            good = good and y + shapes.extent[w, 1] <= y_room
+            good = good and z + shapes.extent[w, 2] <= z_room
             k = first + 1
             while good and k < end:
-                at = shapes.cell[k]
-                good = wanted[x + at[0], y + at[1], z + at[2]]
+                good = wanted[x + shapes.cell[k, 0], y + shapes.cell[k, 1], z + shapes.cell[k, 2]]
                 k += 1
             s = shapes.slot_start[w]
             while good and s < shapes.slot_start[w + 1]:
-                slot, full = shapes.slot[s], True
-                for level in range(slot[2], slot[3]):
-                    full = full and wanted[x + slot[0], y + slot[1], z + level]
-                good = not full
+                good = False
+                for level in range(shapes.slot[s, 2], shapes.slot[s, 3]):
+                    if not wanted[x + shapes.slot[s, 0], y + shapes.slot[s, 1], z + level]:
+                        good = True
                 s += 1
             if good:
                 fits[w, m] = True
@@ -231,25 +232,30 @@ def _fitting(
     way, origin = np.empty(number, np.int64), np.empty((number, 3), np.int64)
     start, cell = np.empty(number + 1, np.int64), np.empty(total, np.int64)
     bears, hanging = np.empty(total, np.bool_), np.empty(number)
-    n, at_cell = 0, 0
+    n, at = 0, 0
     for w in range(ways):
         first, end = shapes.start[w], shapes.start[w + 1]
         for m in range(len(cells)):
             if not fits[w, m]:
                 continue
-            way[n], start[n] = w, at_cell
-            origin[n] = cells[m] - shapes.cell[first]
+            way[n], start[n] = w, at
+            for axis in range(3):
+                origin[n, axis] = cells[m, axis] - shapes.cell[first, axis]
             low, borne = 0, 0
             for k in range(first, end):
-                x, y, z = origin[n] + shapes.cell[k]
-                cell[at_cell] = (x * y_room + y) * z_room + z
-                bears[at_cell] = shapes.lowest[k] and carried[x, y, z]
-                low += shapes.lowest[k]
-                borne += bears[at_cell]
-                at_cell += 1
+                x = origin[n, 0] + shapes.cell[k, 0]
+                y = origin[n, 1] + shapes.cell[k, 1]
+                z = origin[n, 2] + shapes.cell[k, 2]
+                cell[at] = (x * y_room + y) * z_room + z
+                bears[at] = shapes.lowest[k] and carried[x, y, z]
+                if shapes.lowest[k]:
+                    low += 1
+                if bears[at]:
+                    borne += 1
+                at += 1
             hanging[n] = 1 - borne / low
             n += 1
-    start[number] = at_cell
+    start[number] = at
     return way, origin, start, cell, bears, hanging
 
 
@@ -309,15 +315,17 @@ def _filled_pairs(
     origin: np.ndarray, order: np.ndarray, first: np.ndarray, shapes: WayCells, axis: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """:func:`filled_pairs`, of candidates in an order by ways that begin at ``first``."""
-    pairs, total = shapes.pair_start[axis], 0
+    start, total = shapes.pair_start, 0
     for w in range(len(first) - 1):
-        total += (first[w + 1] - first[w]) * (pairs[w + 1] - pairs[w])
+        total += (first[w + 1] - first[w]) * (start[axis, w + 1] - start[axis, w])
     which, place = np.empty(total, np.int64), np.empty((total, 3), np.int64)
     k = 0
     for w in range(len(first) - 1):
-        for p in range(pairs[w], pairs[w + 1]):
-            for n in order[first[w] : first[w + 1]]:
+        for p in range(start[axis, w], start[axis, w + 1]):
+            for i in range(first[w], first[w + 1]):
+                n = order[i]
                 which[k] = n
-                place[k] = origin[n] + shapes.pair[p]
+                for a in range(3):
+                    place[k, a] = origin[n, a] + shapes.pair[p, a]
                 k += 1
     return which, place
