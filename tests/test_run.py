@@ -232,15 +232,15 @@ class Cuts(NamedTuple):
     """Outcomes of those that did not reach what they should."""
 
 
-def cut_ten_times(cell: Cell, state: Path, span: float) -> Cuts:
-    """A run whose connection is cut ten times at random moments.
+def cut_often(cell: Cell, state: Path, span: float, times: int) -> Cuts:
+    """A run whose connection is cut so many times at random moments.
 
     Args:
         state: its file.
         span: longest time until the next cut [s of the robot].
     """
     rng, good, placed = np.random.default_rng(7), 0, 0
-    for _ in range(10):
+    for _ in range(times):
         cell.ask("later", what="cut", after=float(rng.uniform(0.5, span)))
         ran = cell.run(state=state)
         good += ran.stop is Stop.LOST
@@ -253,11 +253,11 @@ def cut_ten_times(cell: Cell, state: Path, span: float) -> Cuts:
 
 
 @pytest.mark.slow
-def test_the_connection_is_cut_ten_times(fake: Fake, tmp_path: Path) -> None:
-    """A hundred bricks take minutes: ``python tests/test_run.py``."""
-    cell = Cell(fake, *wall(6, 3, 2))
-    cuts = cut_ten_times(cell, tmp_path / "run.jsonl", 4.5)
-    assert cuts.good >= 9, cuts  # The last ones may come when everything is done.
+def test_the_connection_is_cut_five_times(fake: Fake, tmp_path: Path) -> None:
+    """A hundred bricks and ten cuts take minutes: ``python tests/test_run.py``."""
+    cell = Cell(fake, *wall(6, 3, 1))
+    cuts = cut_often(cell, tmp_path / "run.jsonl", 4.5, 5)
+    assert cuts.good >= 4, cuts  # The last ones may come when everything is done.
     # None was placed twice; one that had been let go when the connection was cut is counted by no
     # run, and stands all the same.
     assert cuts.placed <= len(cell.job.pieces)
@@ -419,7 +419,7 @@ def main_of_figures(kinds: list[str]) -> None:
         fake = Fake(kind)
         cell, begun = Cell(fake, *wall(20, 3, 16, True)), time.process_time()
         with tempfile.TemporaryDirectory() as folder:
-            cuts = cut_ten_times(cell, Path(folder) / "run.jsonl", 120.0)
+            cuts = cut_often(cell, Path(folder) / "run.jsonl", 120.0, 10)
         state, took = cell.ask("state"), time.process_time() - begun
         poses = np.array([pose[:3] for pose in state["poses"].values()])
         errors = [np.linalg.norm(poses - piece.target, axis=1).min() for piece in cell.job.pieces]
