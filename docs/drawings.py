@@ -424,7 +424,6 @@ PAGES = {
     "plan.md": ("gallery/arch", "An arch on posts, a plan of 21 blocks"),
     "proof.md": ("proof", "Three bricks: forces that press, and a joint that would have to pull"),
     "reference.md": ("rooms", "The rooms of the code"),
-    "rendering.md": ("gallery/ur5e", "What a UR5e has built"),
     "results.md": ("tables", "Returns of table T2 beside the paper's"),
     "robot_programs.md": ("speeds", "Speeds of the joints within their limits"),
     "run.md": ("wall", "What decides, and the plant that senses and moves"),

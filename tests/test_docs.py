@@ -370,9 +370,13 @@ def test_links_of_the_first_pages_lead_somewhere(name: str) -> None:
 # Every script in examples runs, from any folder.
 
 EXAMPLES = ROOT / "examples"
-WORDS = {"train": ["40"], "own_network": ["200"], "evaluate": ["2"]}
+WORDS = {
+    "train": ["40", "2"],
+    "own_network": ["200"],
+    "build": [str(EXAMPLES / "designs" / "stepped_tower.json"), "panda"],
+}
 """Arguments that make an example small."""
-SLOW = {"build_with_arm"}
+SLOW = {"build"}
 
 
 @pytest.mark.parametrize(

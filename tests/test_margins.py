@@ -19,7 +19,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-import refusals
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.contacts import find_contacts
@@ -37,7 +36,7 @@ from learn2assemble.statics.rigid_blocks import bed_patches, margin
 from learn2assemble.statics.step_proof import TOLERANCE, Proof
 from test_ordering import imbalance
 from test_rigid_blocks import GRAVITY, about, wrenches
-from test_small_designs import random_design
+from test_small_designs import random_design, refused_cells
 
 SIDES = 8
 
@@ -103,7 +102,7 @@ def test_a_margin_holds_all_round(seed: int) -> None:
 def test_a_step_is_not_said_to_withstand_more_than_it_does_at_an_angle() -> None:
     """Along x and y 0.489 g, at 135 degrees 0.351 g."""
     kit = load_kit("tetrominoes")
-    tiling, ordering = plan_exact(refusals.wanted("tet1"), kit)
+    tiling, ordering = plan_exact(refused_cells("tet1"), kit)
     assert ordering is not None
     assembly = to_assembly(tiling, ordering, kit)
     there: list[str] = []

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import ConvexHull  # pyright: ignore[reportMissingTypeStubs]
 
 from learn2assemble.assembly.blocks import Block
-from learn2assemble.assembly.bricks.knobs import HEIGHT, RADIUS, knobs_on
+from learn2assemble.assembly.bricks.mates import HEIGHT, RADIUS, knobs_on
 from learn2assemble.assembly.instructions import Group, Instructions
 from learn2assemble.assembly.parts import convex_parts
 

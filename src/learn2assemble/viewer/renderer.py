@@ -1,7 +1,7 @@
 """A small renderer: triangles with shadows into an image, on the processor, without any GL.
 
 Visibility is kept for 2 x 2 samples per pixel. Depths are inverse distances along the view axis,
-so that they are linear in the picture and larger is nearer. Why there is one: docs/rendering.md.
+so that they are linear in the picture and larger is nearer. Why there is one: docs/architecture.md.
 """
 
 from __future__ import annotations
