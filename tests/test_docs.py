@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import re
 import runpy
@@ -39,6 +40,8 @@ TINY = {
     ],
     "eval": ["--episodes", "1"],
     "demonstrate": ["--episodes", "20"],
+    "benchmark run": ["--problems", "1"],
+    "table": ["--from-files"],
 }
 """Words that make a command small; later words win."""
 TABBED = {"pymdownx.tabbed": {"alternate_style": True}}
@@ -57,8 +60,8 @@ PARSED = {
     "gabled_house.json --arm": "takes 34 s",
 }
 """Commands with these words are only parsed, and why (seconds of the processor)."""
-WITH_ARM = "--arm panda", "six", "out/arch.csv", "arch-ur5e"
-"""Commands with these words simulate an arm, and run page by page."""
+OWN_ARM = "six"
+"""Commands with this word need an arm of one's own."""
 
 
 def commands() -> list[tuple[str, str, list[str]]]:
@@ -101,73 +104,89 @@ def test_a_command_of_a_document_is_accepted(page: str, program: str, words: lis
     assert agent is None or "/" in agent or agent in agent_files(), page
 
 
+Told = tuple[str, list[str]]
+"""Program and words of a command."""
+
+
+def commands_that_run() -> dict[str, list[Told]]:
+    """Commands by their pages, in order, each once: pages with a command in common go together.
+
+    Those of :data:`OWN_ARM` are left out.
+    """
+    groups: list[tuple[set[str], dict[str, Told]]] = []
+    for page, program, words in commands():
+        text = f"{program} {' '.join(words)}"
+        if any(word in text for word in (*PARSED, OWN_ARM)):
+            continue
+        mine = [group for group in groups if page in group[0] or text in group[1]]
+        pages, told = {page}, dict[str, Told]()
+        for group in mine:
+            groups.remove(group)
+            pages |= group[0]
+            told |= group[1]
+        groups.append((pages, told | {text: (program, words)}))
+    return {" ".join(sorted(pages)): [*told.values()] for pages, told in groups}
+
+
+GROUPS = commands_that_run()
+
+
+def small(words: list[str]) -> list[str]:
+    """The words of a command, and what makes it small."""
+    extra = TINY.get(" ".join(words[:2]), TINY.get(words[0], []))
+    if words[0] == "train":
+        words = [w for k, w in enumerate(words) if "--minutes" not in words[max(k - 1, 0) : k + 1]]
+        if "published" in words:
+            extra = [*extra, "--set", "network.rounds=1"]
+    return [*words, *(() if "--resume" in words else extra)]
+
+
 @pytest.mark.slow
+@pytest.mark.parametrize("pages", GROUPS)
 def test_the_commands_of_the_documents_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    pages: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One after the other in one folder, as they use what the ones before have written."""
+    """One after the other in one folder, as they use what the ones before have written; videos have
+    fewer pictures."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("learn2assemble.viewer.server.serve", lambda *_: "")
+    monkeypatch.setattr("learn2assemble.viewer.video.SPEED", 20.0)
     for name in ("examples", "tests"):
         (tmp_path / name).symlink_to(ROOT / name)
     shutil.copytree(ROOT / "results", tmp_path / "results")
-    done = set()
-    for page, program, words in commands():
-        text = " ".join(words)
-        if text in done or any(word in text for word in (*PARSED, *WITH_ARM)):
-            continue
-        done.add(text)
-        extra = [*TINY.get(words[0], [])]
-        if words[0] == "table" and "--from-files" not in words:
-            extra = ["--from-files"]
-        if words[0] == "train" and "--minutes" in words:
-            words = [
-                w for k, w in enumerate(words) if "--minutes" not in words[max(k - 1, 0) : k + 1]
-            ]
-        if "--resume" in words:
-            extra = []
-        if words[0] == "train" and "relational" not in text and "published" in text:
-            extra += ["--set", "network.rounds=1"]
-        out = tmp_path / words[words.index("--out") + 1] if "--out" in words else None
-        if out is not None and out.exists() and "--resume" not in words:
-            continue
-        code = main([*words, *extra], PROGRAMS[program])
-        assert code == 0, (page, text, capsys.readouterr().err[-500:])
-
-
-def commands_with_an_arm() -> dict[str, list[list[str]]]:
-    """Words of the commands of :data:`WITH_ARM` that run, by page, in order."""
-    found: dict[str, list[list[str]]] = {}
-    for page, _, words in commands():
-        text = " ".join(words)
-        if any(word in text for word in WITH_ARM) and not any(word in text for word in PARSED):
-            found.setdefault(page, []).append(words)
-    return found
+    for program, words in GROUPS[pages]:
+        code = main(small(words), PROGRAMS[program])
+        assert code == 0, (" ".join(words), capsys.readouterr().err[-500:])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", commands_with_an_arm())
-def test_the_commands_with_an_arm_run(page: str, tmp_path: Path) -> None:
-    """In processes of their own, as an arm of one's own would stay known to all other tests."""
+def test_the_commands_with_an_arm_of_ones_own_run(tmp_path: Path) -> None:
+    """In other processes, as the arm would stay known to all other tests: the first makes it, and
+    the second one knows it from the start."""
     (tmp_path / "examples").symlink_to(ROOT / "examples")
-    known, arms = {"PYTHONPATH": str(ROOT / "src")}, tmp_path / "arms"
-    for words in commands_with_an_arm()[page]:
-        told = subprocess.run(
-            [sys.executable, "-m", "learn2assemble", *words],
+    making, *using = [words for _, _, words in commands() if OWN_ARM in " ".join(words)]
+    assert making[0] == "add-arm"
+    assert len(using) >= 3
+    code = "import json, sys; from learn2assemble.cli import main; "
+    code += "[main(words) and sys.exit(repr(words)) for words in json.loads(sys.argv[1])]"
+    for some, arms in (([making], ""), (using, "arms")):
+        known = {"PYTHONPATH": str(ROOT / "src"), "LEARN2ASSEMBLE_ARMS": arms}
+        done = subprocess.run(
+            [sys.executable, "-c", code, json.dumps(some)],
             cwd=tmp_path,
-            env=os.environ | known | {"LEARN2ASSEMBLE_ARMS": "arms" * arms.is_dir()},
+            env=os.environ | known,
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,
             check=False,
         )
-        assert told.returncode == 0, (" ".join(words), told.stderr[-500:])
+        assert done.returncode == 0, done.stderr[-500:]
 
 
 def test_what_is_only_parsed_is_in_a_document() -> None:
     """An exception whose command is gone is none."""
     texts = [" ".join(words) for _, _, words in commands()]
-    for word in (*PARSED, *WITH_ARM):
+    for word in (*PARSED, OWN_ARM):
         assert any(word in text for text in texts), word
 
 

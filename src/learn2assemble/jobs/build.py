@@ -373,7 +373,13 @@ def _rebuilt(
     """A structure turned into whichever plan takes the fewest moves."""
     from learn2assemble.planning.rebuild import rebuild
 
-    plans = [plan for plan in tried if plan.complete] or tried[-1:]
+    # Kits that differ often give the same blocks, of which the first plan is enough.
+    some: dict[object, Plan] = {}
+    for plan in [plan for plan in tried if plan.complete] or tried[-1:]:
+        blocks = () if plan.assembly is None else plan.assembly.blocks
+        placed = tuple((block.kind, block.vertices.tobytes()) for block in blocks)
+        some.setdefault((placed, plan.gap_range), plan)
+    plans = [*some.values()]
     limit = seconds / len(plans)
     found = [rebuild(old, plan, seconds=limit, progress=progress) for plan in plans]
     return min(

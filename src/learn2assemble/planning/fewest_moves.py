@@ -14,7 +14,7 @@ _MOMENTS = 12
 """Of an order, looked at together before all of them are."""
 
 
-def fewest_moves(change: Changeover, clock: Clock) -> int:
+def fewest_moves(change: Changeover, clock: Clock, known: float = math.inf) -> int:
     """A number of moves that no order without help goes below.
 
     A move takes one block from where it is to where it comes: out of the structure, into it, or
@@ -42,6 +42,7 @@ def fewest_moves(change: Changeover, clock: Clock) -> int:
 
     Args:
         clock: programs that are not solved in time count with what is proven of them.
+        known: moves of an order that there is. Where it is met, nothing better can be found.
     """
     going = sorted(change.going)
     coming = sorted(change.coming(going))
@@ -51,7 +52,7 @@ def fewest_moves(change: Changeover, clock: Clock) -> int:
     some = [[number] for number in range(1, last + 1)]
     some += [_evenly(last, count) for count in (_MOMENTS, last) if 1 < count <= last]
     for numbers in some:
-        if clock.left <= 0:
+        if clock.left <= 0 or best >= known:
             break
         direct = _most_direct(change, going, coming, numbers, clock)
         best = max(best, len(going) + len(coming) - direct)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -41,8 +42,28 @@ class _Tried(NamedTuple):
     rules: Forward
     ends: tuple[float, float]
     gap: float
-    bound: int
+    bound: _Bound
     found: Rebuilt
+
+
+class _Bound:
+    """Of the moves, looked for once, when an order is known: many meet what is seen at once.
+
+    Args:
+        seconds: that it may take.
+        clock: of all.
+    """
+
+    def __init__(self, change: Changeover, seconds: float, clock: Clock) -> None:
+        self._change, self._seconds, self._clock = change, seconds, clock
+        self._least: int | None = None
+
+    def __call__(self, known: float) -> int:
+        """See :func:`~.fewest_moves.fewest_moves`."""
+        if self._least is None:
+            clock = Clock(min(self._seconds, self._clock.left))
+            self._least = fewest_moves(self._change, clock, known)
+        return self._least
 
 
 def rebuild(
@@ -83,7 +104,7 @@ def rebuild(
             names = list_ids(change.blocks, rules.laws[-1].moving(unproven[0])) or "some blocks"
             falls = "old" if unproven[0] is begin else "new", names
             continue
-        bound = fewest_moves(change, Clock(seconds / 4))
+        bound = _Bound(change, seconds / 4, clock)
         found = find_rebuilding(change, rules, bound, clock, progress)
         tried = _Tried(change, rules, ends, gap, bound, found)
         if found.complete or clock.left <= 0:
@@ -113,9 +134,10 @@ def rebuild(
     told = plan_of(whole, made, ends, gaps, started, change.old, change.new)
     placed = [step.block for step in steps if step.action == "place"]
     taken = [step.block for step in steps if step.action == "remove"]
+    moves = count_moves(found.steps, change.kind)
     report = RebuildReport(
-        moves=count_moves(found.steps, change.kind),
-        moves_bound=bound,
+        moves=moves,
+        moves_bound=bound(moves if found.complete else math.inf),
         kept=int(change.old.sum()) - len(set(taken)),
         taken=len(taken),
         placed=len(placed),

@@ -58,7 +58,7 @@ def count_moves(steps: tuple[Doing, ...], kind: np.ndarray) -> int:
 def find_rebuilding(
     change: Changeover,
     rules: Forward,
-    bound: int,
+    bound: Callable[[float], int],
     clock: Clock,
     progress: Progress = lambda text: None,
 ) -> Rebuilt:
@@ -69,13 +69,14 @@ def find_rebuilding(
 
     Args:
         rules: that prove states of the same blocks.
-        bound: of the moves; an order that needs no more is not improved.
+        bound: of the moves, given how many an order has that is known; an order that needs no more
+            is not improved.
     """
     going, best = change.going, Rebuilt((), 0, change.going, False)
     while True:
         falling: set[int] = set()
         for width in WIDTHS:
-            if best.complete and (best.moves <= bound or clock.left <= 0):
+            if best.complete and (clock.left <= 0 or best.moves <= bound(best.moves)):
                 break
             found = _Beam(change, rules, going, width, clock, progress).run(falling)
             if (found.complete and (not best.complete or found.moves < best.moves)) or (
