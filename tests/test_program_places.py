@@ -193,6 +193,15 @@ def steps_of(script: str) -> list[list[str]]:
     return [[line.strip() for line in part.splitlines()] for part in script.split("  # step ")[1:]]
 
 
+def asked_in(lines: list[str], call: str) -> list[int]:
+    """Where a step asks for what comes after it: not for itself, where a program resumes."""
+    return [
+        k
+        for k, line in enumerate(lines)
+        if line.startswith(call) and not lines[k - 1].startswith("if (l2a_resume_from ==")
+    ]
+
+
 def test_the_program_asks_for_a_block_before_it_takes_it(
     script: str, made: tuple[Program, Arm]
 ) -> None:
@@ -211,7 +220,7 @@ def test_the_program_asks_for_a_block_before_it_takes_it(
         place = program.places[step.pick.place - 1]
         wanted = f'{place.number}, "{place.kind}", "step {step.number}: '
         before = parts[number - 1]
-        (asked,) = (k for k, line in enumerate(before) if line.startswith("l2a_wait_for_block("))
+        (asked,) = asked_in(before, "l2a_wait_for_block(")
         assert before[asked].startswith(f"l2a_wait_for_block({wanted}")
         opened = next(k for k, line in enumerate(before) if line.startswith("l2a_open("))
         assert opened < asked
@@ -280,13 +289,19 @@ def test_a_hand_is_asked_with_the_arm_away_after_a_step_that_failed(
     number = next(
         k for k, s in enumerate(program.steps) if k and s.pick is not None and s.pick.refill
     )
-    for held in (None, program.steps[number - 1].held):
-        failed = program.steps[number - 1]._replace(held=held, reached=False)
+    last = program.steps[number - 1]
+    begin = program.steps[number - 2].end if number > 1 else 0.0
+    unloaded = tuple(
+        s._replace(load=0.0) if begin <= s.time < last.end else s for s in program.states
+    )
+    for held, states in ((None, unloaded), (last.held, program.states)):
+        failed = last._replace(held=held, reached=False)
         steps = (*program.steps[: number - 1], failed, *program.steps[number:])
-        write_urscript(replace(program, steps=steps), arm, tmp_path / f"{held is None}.script")
-        lines = steps_of((tmp_path / f"{held is None}.script").read_text())[number - 1]
-        asked = [k for k, line in enumerate(lines) if line.startswith("l2a_wait_for_block(")]
-        moves = [line for line in lines[: asked[-1]] if line.startswith("movej(")]
+        path = tmp_path / f"{held is None}.script"
+        write_urscript(replace(program, steps=steps, states=states), arm, path)
+        lines = steps_of(path.read_text())[number - 1]
+        (asked,) = asked_in(lines, "l2a_wait_for_block(")
+        moves = [line for line in lines[:asked] if line.startswith("movej(")]
         stood = [float(v) for v in moves[-1].split("[")[1].split("]")[0].split(",")]
         taken = program.steps[number].held
         assert taken is not None
