@@ -783,7 +783,12 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "wide.svg": (
         svg(f'<path d="{SQUARE}"/>', 'width="1e308400mm" viewBox="0 0 9 9"'),
         {},
-        "a width",
+        "width='1e308400mm'",
+    ),
+    "metres.svg": (
+        svg(f'<path d="{SQUARE}"/>', 'width="48m" height="24mm" viewBox="0 0 9 9"'),
+        {},
+        "the unit m of width='48m'\", expected a length in one of px, in, cm, mm, q, pt, pc",
     ),
     "empty.svg": (svg(""), {}, "no closed outline"),
     "words.svg": (svg("<text>house</text>"), {}, "no closed outline"),

@@ -111,8 +111,9 @@ class Reach:
     @property
     def words(self) -> str:
         """Where the base stands, in words."""
-        x, y, z, facing = self.base
-        return f"[{x:.2f}, {y:.2f}, {z:.2f}] facing {math.degrees(facing):.0f} degrees"
+        x, y, z = (f"{round(value, 2) + 0.0:.2f}" for value in self.base[:3])
+        facing = round(math.degrees(self.base[3])) or 0
+        return f"[{x}, {y}, {z}] m facing {facing} degrees"
 
 
 def reach_from(

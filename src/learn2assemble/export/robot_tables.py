@@ -392,7 +392,7 @@ def _split(content: bytes, source: str) -> tuple[dict[str, Any], list[str], int]
         key, colon, value = line[1:].strip().partition(": ")
         if colon:
             head[key] = load_json(value, f"{source}: {key}", FORMAT)
-    raise InputError(source, "no header" if count else "an empty file", f"a table of {FORMAT}")
+    raise InputError(source, "no header" if count else "an empty file", "an exported program")
 
 
 def _check_motion(knots: Knots, arm: Arm, source: str) -> None:
