@@ -58,6 +58,7 @@ from learn2assemble.robot.moves import (
     turns,
 )
 from learn2assemble.robot.registry import TOOLS
+from learn2assemble.values import rounded
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly
@@ -111,9 +112,9 @@ class Reach:
     @property
     def words(self) -> str:
         """Where the base stands, in words."""
-        x, y, z = (f"{round(value, 2) + 0.0:.2f}" for value in self.base[:3])
-        facing = round(math.degrees(self.base[3])) or 0
-        return f"[{x}, {y}, {z}] m facing {facing} degrees"
+        x, y, z = (f"{rounded(value, 2):.2f}" for value in self.base[:3])
+        facing = rounded(math.degrees(self.base[3]), 0)
+        return f"[{x}, {y}, {z}] m facing {facing:.0f} degrees"
 
 
 def reach_from(

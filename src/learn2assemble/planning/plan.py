@@ -20,7 +20,7 @@ from learn2assemble.planning.folder import FORMAT, check_own
 from learn2assemble.planning.reports import ArmReport, BuilderArm, RebuildReport
 from learn2assemble.progress import Progress, silent
 from learn2assemble.registry import Registry
-from learn2assemble.values import Range, from_plain, integer, mapping, to_plain
+from learn2assemble.values import Range, from_plain, integer, mapping, rounded, to_plain
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly, Block
@@ -194,7 +194,7 @@ class Step:
 
 def block_step(number: int, index: int, block: Block, action: Action, coverage: float) -> Step:
     """The step with a number, from 1, of a block with an index in its assembly."""
-    x, y, z = (round(float(c), 6) for c in block.centroid)
+    x, y, z = (rounded(c) for c in block.centroid.tolist())
     return Step(
         step=number,
         block=index,

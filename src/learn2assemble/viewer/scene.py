@@ -18,6 +18,7 @@ from learn2assemble.assembly.bricks.knobs import HEIGHT, RADIUS, knobs_on
 from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.assembly.joints import DRY, Joint
 from learn2assemble.assembly.parts import to_manifold
+from learn2assemble.values import rounded
 from learn2assemble.viewer.arm import Labels
 from learn2assemble.viewer.html import packed, to_base64
 
@@ -389,8 +390,3 @@ def joint_data(forces: tuple[Contacts, np.ndarray | None]) -> dict[str, Any] | N
     if vectors is not None and (largest := float(np.linalg.norm(vectors, axis=1).max())) > 0:
         found |= {"forces": packed(vectors, np.uint16), "largest": largest}
     return found
-
-
-def rounded(value: float) -> float:
-    """To a micrometre."""
-    return round(float(value), 6) + 0.0
