@@ -152,10 +152,7 @@ def write_assembly(assembly: Assembly, path: str | Path, *, overwrite: bool = Fa
 
 def to_json(assembly: Assembly) -> dict[str, Any]:
     """The JSON document of our format."""
-    blocks = [
-        {**to_plain(block), "vertices": written(block.vertices)}
-        for block in assembly.blocks
-    ]
+    blocks = [{**to_plain(block), "vertices": written(block.vertices)} for block in assembly.blocks]
     return {
         "format": FORMAT,
         "version": VERSION,

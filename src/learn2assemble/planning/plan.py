@@ -100,6 +100,8 @@ class PlanDesign:
     """What is visible in the file and is not part of the design, in one line."""
     note: str | None = None
     """What was done to the file to read it."""
+    drawn: tuple[str, ...] | None = None
+    """Of a drawing or picture, the sides it shows; the viewer of its ``front`` stands at -y."""
     boxes: tuple[PlanBox, ...] = ()
     """Of goals: what has to be filled, reached or loaded, and what stays empty."""
 

@@ -129,6 +129,7 @@ def plan_brick_cells(
         volume_error=rounded(design.volume_error),
         not_read=design.not_read,
         note=design.note or plan.design.note,
+        drawn=design.drawn or None,
     )
     count = int(wanted.sum())
     missing = count - int(round(plan.coverage * count)) if plan.complete else count

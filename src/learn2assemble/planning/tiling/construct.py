@@ -162,6 +162,7 @@ def report_plan(
             volume_error=rounded(design.volume_error),
             not_read=design.not_read,
             note=design.note or None,
+            drawn=design.drawn or None,
         ),
         status=(
             "complete"
