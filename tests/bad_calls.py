@@ -492,6 +492,15 @@ BAD = [
     BadCall(
         "replay a design", ["replay-trajectory", "{d}/design.json", "--arm", "panda"], "header"
     ),
+    BadCall("replay a build", ["replay-trajectory", "{d}/full", "--arm", "panda"], "l2a export"),
+    *(
+        BadCall(
+            f"replay {name} of a build",
+            ["replay-trajectory", f"{{d}}/{name}", "--arm", "panda"],
+            "of the build itself', expected a program, which l2a export makes",
+        )
+        for name in ("trajectory.json", "trajectory.csv", "trajectory-1.json", "plan.json")
+    ),
     *(
         BadCall(
             f"replay a table with {name}",
@@ -593,7 +602,7 @@ BAD = [
         ["build", "{d}/design.json", "--preview", "{d}/nosuch/new.png"],
         "nosuch",
     ),
-    BadCall("build into a full folder", build("--out", "{d}/full"), "a new or empty folder"),
+    BadCall("build into a full folder", build("--out", "{d}/full"), "name another one or empty"),
     BadCall("build into a file", build("--out", "{d}/file.txt"), "a new or empty folder"),
     BadCall("build below a file", build("--out", "{d}/file.txt/new"), "a place that can be"),
     BadCall("build into a long name", build("--out", "{d}/" + LONG), "out"),
@@ -723,7 +732,11 @@ BAD = [
     ),
     BadCall("misspelt configuration", train("--config", "papre"), "did you mean 'paper'"),
     BadCall("unknown method", train("--method", "ppo"), "one of dqn, eps-mcts, q-mcts"),
-    BadCall("train into a full folder", train("--out", "{d}/full"), "a new or empty folder"),
+    BadCall(
+        "train into a full folder",
+        train("--out", "{d}/full"),
+        "empty this one or go on with --resume",
+    ),
     BadCall("train into a file", train("--out", "{d}/file.txt"), "a new or empty folder"),
     BadCall("train below a file", train("--out", "{d}/file.txt/new"), "a place that can be"),
     BadCall("train over a run", train("--out", "{d}/run"), "--resume"),

@@ -352,12 +352,18 @@ def test_sides_stand_where_their_viewer_sees_them(tmp_path: Path) -> None:
     assert not made[1:-1, 1:-1].any()
     step = '<path d="M0 0h1v1h2v1h-3z"/>'  # high on the left of its viewer
     drawn = svg(f'<g id="front">{step}</g><g id="Back">{step}</g>', "")
-    both = cells(write(tmp_path / "two.svg", drawn), cell=1.0, unit="m").wanted
+    file = write(tmp_path / "two.svg", drawn)
+    assert cells(file, cell=1.0, unit="m").drawn == ("front", "back")
+    both = cells(file, cell=1.0, unit="m").wanted
     assert both.shape == (3, 2, 2)
     assert both[:, 0, 1].tolist() == [True, False, False]
     assert both[:, 1, 1].tolist() == [False, False, True]
     right = svg(f'<g id="right">{step}</g>', "")
-    wall = cells(write(tmp_path / "right.svg", right), cell=1.0, unit="m").wanted
+    made = cells(write(tmp_path / "right.svg", right), cell=1.0, unit="m")
+    assert made.drawn == ("right",)
+    for name, drawn in (("gate.svg", ("front",)), ("figure.png", ("front",)), ("dome.npy", ())):
+        assert cells(EXAMPLES / name).drawn == drawn
+    wall = made.wanted
     assert wall.shape == (1, 3, 2)
     assert wall[0, :, 1].tolist() == [True, False, False]
 
@@ -783,7 +789,12 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "wide.svg": (
         svg(f'<path d="{SQUARE}"/>', 'width="1e308400mm" viewBox="0 0 9 9"'),
         {},
-        "a width",
+        "width='1e308400mm'",
+    ),
+    "metres.svg": (
+        svg(f'<path d="{SQUARE}"/>', 'width="48m" height="24mm" viewBox="0 0 9 9"'),
+        {},
+        "the unit m of width='48m'\", expected a length in one of px, in, cm, mm, q, pt, pc",
     ),
     "empty.svg": (svg(""), {}, "no closed outline"),
     "words.svg": (svg("<text>house</text>"), {}, "no closed outline"),

@@ -25,6 +25,7 @@ from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.export.formats import FORMATS, bill_of_blocks, export_assembly, step_cards
 from learn2assemble.export.pictures import booklet
+from learn2assemble.planning.plan import block_step
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.planning.tiling.ordering import to_assembly
 from learn2assemble.viewer.page import render_assembly_page
@@ -78,6 +79,22 @@ def test_colours_and_the_name_are_kept_in_the_file(bridge: Assembly, tmp_path: P
     )
     with pytest.raises(InputError, match="colour"):
         read_assembly(broken)
+
+
+@pytest.mark.parametrize("format", ["assembly", "bill", "cards", "compas", "mjcf"])
+def test_no_zero_has_a_minus(format: str, tmp_path: Path) -> None:
+    """Of blocks whose middles and corners are a hair below zero."""
+    low, size = -1e-13, 0.05
+    blocks = (
+        box_block("a", (low, low, 0), (size + low, size + low, 0.05), kind="1x1"),
+        box_block("b", (-size / 2 + low, -size / 2, 0.05), (size / 2 + low, size / 2, 0.1)),
+    )
+    steps = tuple(AssemblyStep(place=block.id) for block in blocks)
+    made = Assembly(blocks, steps)
+    text = export_assembly(made, format, tmp_path).read_text("utf-8")
+    assert not re.search(r"(?<![\w.-])-0(\.0+)?(?![\w.])", text)
+    step = block_step(1, 1, made.blocks[1], "place", 1.0)
+    assert [str(value) for value in step.position[:2]] == ["0.0", "0.0"]
 
 
 def test_a_prop_used_twice_is_billed_once(bridge: Assembly) -> None:

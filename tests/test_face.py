@@ -236,7 +236,11 @@ def test_a_folder_is_written_by_one_process_at_a_time(tmp_path: Path) -> None:
             pass
         (out / "file").touch()
     assert [path.name for path in out.iterdir()] == ["file"]
-    with pytest.raises(InputError, match="a new or empty folder"), claim_folder(out):
+    words = r"empty folder: name another one or empty this one$"
+    with pytest.raises(InputError, match=words), claim_folder(out):
+        pass
+    words, go_on = r"one, empty this one or go on with `resume=`$", "go on with `resume=`"
+    with pytest.raises(InputError, match=words), claim_folder(out, otherwise=go_on):
         pass
     with claim_folder(out, resume=True):
         pass

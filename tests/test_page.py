@@ -28,7 +28,7 @@ from learn2assemble.export.cards import step_cards
 from learn2assemble.geometry.rotations import yaw_matrix
 from learn2assemble.planning.tiling.ordering import polycube
 from learn2assemble.viewer.page import Verdict, render_assembly_page
-from learn2assemble.viewer.scene import first_view, side_covers
+from learn2assemble.viewer.scene import first_view, is_behind, side_covers
 from learn2assemble.viewer.tables import StepNote
 from read_back import STRUCTURES
 
@@ -412,9 +412,39 @@ def test_the_wide_side_faces_the_viewer_first(
     half = np.array(size) / 2
     box = box_block("b", (1 - half).tolist(), (1 + half).tolist())
     turned = replace(box, vertices=(box.vertices - 1) @ yaw_matrix(math.radians(yaw)).T + 1)
-    base = None if arm is None else np.array(arm) + 1
-    turn, aside = first_view([turned], base)
+    turn, aside = first_view([turned], [] if arm is None else [np.array(arm) + 1])
     assert (round(math.degrees(turn)) % 360, aside) == (view[0] % 360, view[1])
+
+
+@pytest.mark.parametrize(
+    ("size", "arms", "view", "behind"),
+    [
+        # It stands behind, or at an end: as of what nobody has drawn.
+        ((0.4, 0.05), [(0.0, 0.5)], (0, -0.8), False),
+        ((0.4, 0.05), [(-0.5, 0.0)], (0, 0.5), False),
+        # Before it: from so far on the other side that it stands beside it.
+        ((0.4, 0.05), [(0.0, -0.5)], (0, 0.8), False),
+        ((0.4, 0.05), [(0.15, -0.5)], (0, -0.5), False),
+        ((0.9, 0.05), [(0.0, -0.5)], (0, 1.5), False),
+        ((0.1, 0.1), [(0.0, -0.5)], (0, 0.5), False),
+        # It is too wide for that, or a second arm stands there: from behind, which is said.
+        ((2.0, 0.05), [(0.0, -0.5)], (180, -0.8), True),
+        ((0.6, 0.05), [(0.0, -0.5), (0.5, -0.5), (-0.5, -0.5)], (180, -0.8), True),
+        # Deeper than wide: the narrow front was drawn.
+        ((0.1, 0.5), [], (0, 0.5), False),
+    ],
+)
+def test_the_drawn_front_is_seen_where_no_arm_hides_it(
+    size: tuple[float, float],
+    arms: list[tuple[float, float]],
+    view: tuple[float, float],
+    behind: bool,
+) -> None:
+    half = np.array([*size, 0.3]) / 2
+    box = box_block("b", (1 - half).tolist(), (1 + half).tolist())
+    found = first_view([box], [np.array(arm) + 1 for arm in arms], front=True)
+    assert (round(math.degrees(found[0])) % 360, found[1]) == view
+    assert is_behind(found) is behind
 
 
 def test_sides_are_left_out_only_where_blocks_cover_them() -> None:

@@ -193,6 +193,15 @@ def steps_of(script: str) -> list[list[str]]:
     return [[line.strip() for line in part.splitlines()] for part in script.split("  # step ")[1:]]
 
 
+def asked_in(lines: list[str], call: str) -> list[int]:
+    """Where a step asks for what comes after it: not for itself, where a program resumes."""
+    return [
+        k
+        for k, line in enumerate(lines)
+        if line.startswith(call) and not lines[k - 1].startswith("if (l2a_resume_from ==")
+    ]
+
+
 def test_the_program_asks_for_a_block_before_it_takes_it(
     script: str, made: tuple[Program, Arm]
 ) -> None:
@@ -201,7 +210,7 @@ def test_the_program_asks_for_a_block_before_it_takes_it(
     program, arm = made
     parsed = UrScript(script)
     assert parsed.top["l2a_refill_by_hand"] == "True"
-    assert {"l2a_wait_for_block", "l2a_wait_until_taken", "l2a_resumed"} <= set(parsed.defined)
+    assert {"l2a_wait_for_block", "l2a_wait_until_taken"} <= set(parsed.defined)
     waits, parts = 0, steps_of(script)
     for number, (step, lines) in enumerate(zip(program.steps, parts, strict=True)):
         assert step.pick is not None
@@ -211,7 +220,7 @@ def test_the_program_asks_for_a_block_before_it_takes_it(
         place = program.places[step.pick.place - 1]
         wanted = f'{place.number}, "{place.kind}", "step {step.number}: '
         before = parts[number - 1]
-        (asked,) = (k for k, line in enumerate(before) if line.startswith("l2a_wait_for_block("))
+        (asked,) = asked_in(before, "l2a_wait_for_block(")
         assert before[asked].startswith(f"l2a_wait_for_block({wanted}")
         opened = next(k for k, line in enumerate(before) if line.startswith("l2a_open("))
         assert opened < asked
@@ -222,9 +231,10 @@ def test_the_program_asks_for_a_block_before_it_takes_it(
         tool, _ = forward_many(get_chain(arm), np.array([stood, taken]))
         far = np.linalg.norm(program.steps[number - 1].target[:2] - place.centre[:2])
         assert np.linalg.norm(tool[0] - tool[1]) > 0.9 * far, "as far as where the last one is"
-        resumed = next(k for k, line in enumerate(lines) if line.startswith("l2a_resumed("))
-        assert lines[resumed].startswith(f"l2a_resumed({step.number}, {wanted}")
-        assert lines[resumed + 1].startswith("l2a_start(")
+        resumed = lines.index(f"if (l2a_resume_from == {step.number}):")
+        assert lines[resumed + 1].startswith(f"l2a_wait_for_block({wanted}")
+        assert lines[resumed + 2] == "end"
+        assert lines[resumed + 3].startswith("l2a_start(")
     assert waits == len(program.steps) - 1 == sum(place.refills for place in program.places)
     body = script[script.index("def l2a_wait_for_block") :]
     assert "if (l2a_refill_by_hand):\n      popup(words" in body[: body.index("  end\n  end")]
@@ -244,19 +254,60 @@ def test_what_a_magazine_takes_back_is_taken_away(
     program, arm = made
     gone = np.array([[0.0, -0.2, -0.1, 1.0, 0, 0, 0]])
     for number in (1, len(program.steps)):
-        end = program.steps[number - 1].end
-        blocks = program.blocks._replace(supply=(Supply(end, (0,), gone),))
+        step = program.steps[number - 1]
+        blocks = program.blocks._replace(supply=(Supply(step.end, (0,), gone),))
         write_urscript(replace(program, blocks=blocks), arm, tmp_path / "back.script")
         text = (tmp_path / "back.script").read_text()
         UrScript(text)
-        found = [
-            k
-            for k, lines in enumerate(steps_of(text), 1)
-            if any(
-                line.startswith('l2a_wait_until_taken("block-1", "take block-1') for line in lines
-            )
+        call = 'l2a_wait_until_taken("block-1", "take block-1'
+        asked = [
+            [k for k, line in enumerate(lines) if line.startswith(call)] for lines in steps_of(text)
         ]
-        assert found == [min(number + 1, len(program.steps))]
+        # In the step itself, where the arm is away; again for who goes on from the next one.
+        assert len(asked[number - 1]) == 1
+        lines, k = steps_of(text)[number - 1], asked[number - 1][0]
+        moves = [line for line in lines[:k] if line.startswith("movej(")]
+        assert step.held is not None
+        put = program.knots.at(np.array([step.held[1]]))[0][0]
+        stood = [float(v) for v in moves[-1].split("[")[1].split("]")[0].split(",")]
+        tool, _ = forward_many(get_chain(arm), np.array([stood, put]))
+        assert np.linalg.norm(tool[0] - tool[1]) > 0.05
+        assert ", r=" not in moves[-1]
+        if number < len(program.steps):
+            assert len(asked[number]) == 1
+            before = steps_of(text)[number][asked[number][0] - 1]
+            assert before == f"if (l2a_resume_from == {program.steps[number].number}):"
+        assert sum(map(len, asked)) == 1 + (number < len(program.steps))
+
+
+def test_a_hand_is_asked_with_the_arm_away_after_a_step_that_failed(
+    made: tuple[Program, Arm], tmp_path: Path
+) -> None:
+    """Nothing was let go in it: the arm is empty from its beginning, and stands right over the
+    place at its end."""
+    program, arm = made
+    number = next(
+        k for k, s in enumerate(program.steps) if k and s.pick is not None and s.pick.refill
+    )
+    last = program.steps[number - 1]
+    begin = program.steps[number - 2].end if number > 1 else 0.0
+    unloaded = tuple(
+        s._replace(load=0.0) if begin <= s.time < last.end else s for s in program.states
+    )
+    for held, states in ((None, unloaded), (last.held, program.states)):
+        failed = last._replace(held=held, reached=False)
+        steps = (*program.steps[: number - 1], failed, *program.steps[number:])
+        path = tmp_path / f"{held is None}.script"
+        write_urscript(replace(program, steps=steps, states=states), arm, path)
+        lines = steps_of(path.read_text())[number - 1]
+        (asked,) = asked_in(lines, "l2a_wait_for_block(")
+        moves = [line for line in lines[:asked] if line.startswith("movej(")]
+        stood = [float(v) for v in moves[-1].split("[")[1].split("]")[0].split(",")]
+        taken = program.steps[number].held
+        assert taken is not None
+        grip = program.knots.at(np.array([taken[0]]))[0][0]
+        tool, _ = forward_many(get_chain(arm), np.array([stood, grip]))
+        assert np.linalg.norm(tool[0] - tool[1]) > 0.15
 
 
 # ---------------------------------------------------------------- what things are called

@@ -307,6 +307,7 @@ def test_a_table_can_be_streamed(
 ) -> None:
     """Differences of the lines alone, as a controller sees them, respect every limit."""
     arm = get_arm(name)
+    assert not re.search(r",-0\.0+[,\n]", files[name, format].read_text())
     head, rows = table(files[name, format])
     joints = driver_of(arm).joints
     assert head["joints"] == list(joints)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,8 @@ from learn2assemble.motion.files import write_record
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.reports import ArmReport
 from learn2assemble.robot.shape import box
+from learn2assemble.viewer import video
+from learn2assemble.viewer.playback import Playback
 from learn2assemble.viewer.renderer import (
     GROUND,
     LIT,
@@ -188,6 +191,24 @@ def test_the_words_are_in_the_picture(film: Frames) -> None:
     )
     assert filled[: len(bar) // 2 - 2].mean() > 0.8
     assert not filled[len(bar) // 2 + 2 :].any()
+
+
+@pytest.mark.parametrize("view", [[0.0, 0.8], [math.pi, -0.8]])
+@pytest.mark.parametrize("drawn", [("front",), ("back", "front"), None])
+def test_a_drawing_is_seen_from_its_front_or_it_is_said(
+    drawn: tuple[str, ...] | None, view: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of an arm that stands before it; whether it hides the front is another test's."""
+    monkeypatch.setattr(Playback, "side", property(lambda _: math.pi / 2))
+    monkeypatch.setattr(video, "first_view", lambda *_: view)
+    plan = arm_plan(COUNT)
+    plan = replace(plan, design=replace(plan.design, drawn=drawn))
+    made = Frames(plan, (arm_record("panda", COUNT),))
+    front = drawn == ("front",) and view[0] == 0
+    assert (made.camera.position[1] < 0) == front
+    assert made.behind == (drawn == ("front",) and not front)
+    words = made.frame(0.0)[54:72, WIDTH - 200 :]
+    assert ((words.max(-1) < 160).sum() > 100) == made.behind
 
 
 def test_moments_play_the_whole_build_and_hold_its_end() -> None:

@@ -424,25 +424,29 @@ LOCK = ".lock"
 
 @contextmanager
 def claim_folder(
-    folder: Path, resume: bool = False, expected: str = "a new or empty folder"
+    folder: Path, resume: bool = False, otherwise: str = ""
 ) -> Generator[None, None, None]:
     """Have an output folder to oneself while the block runs.
 
     Args:
         folder: new or empty; made where it does not exist.
         resume: it exists already and holds something.
-        expected: words for what it should be.
+        otherwise: words for what can be done with one that holds something, beside naming another
+            one and emptying it.
 
     Raises:
         InputError: where it cannot be used, or another process is writing into it.
     """
     what, name, made = "out", printable(str(folder)), False
+    expected = "a new or empty folder"
     if "\0" in str(folder):
         raise InputError(what, name, expected)
     try:
         if not resume:
-            if folder.exists() and (not folder.is_dir() or _content(folder)):
+            if folder.exists() and not folder.is_dir():
                 raise InputError(what, name, expected)
+            if folder.exists() and _content(folder):
+                raise holds_something(folder, otherwise)
             made = not folder.exists()
             if made and folder.is_symlink():
                 raise InputError(what, name, f"{expected}, not a link to nowhere")
@@ -462,6 +466,14 @@ def claim_folder(
         if folder not in (named, *named.parents) and named not in folder.parents:
             raise  # Another file is to blame.
         raise unwritable(what, folder, error) from None
+
+
+def holds_something(folder: Path, otherwise: str = "") -> InputError:
+    """The error for an output folder that is not empty, with what can be done; see
+    :func:`claim_folder`."""
+    ways = ["name another one", "empty this one", *([otherwise] if otherwise else [])]
+    expected = f"a new or empty folder: {', '.join(ways[:-1])} or {ways[-1]}"
+    return InputError("out", printable(str(folder)), expected)
 
 
 def _check_content(folder: Path, what: str) -> None:

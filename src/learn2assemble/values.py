@@ -20,6 +20,11 @@ from learn2assemble.errors import InputError, UnknownNameError
 T = TypeVar("T")
 
 
+def rounded(value: float, digits: int = 6) -> float:
+    """A number as files and people get it: to so many decimals, and never a zero with a minus."""
+    return round(float(value), digits) + 0.0
+
+
 def check_keys(
     given: Mapping[str, Any], source: str, path: str, valid: tuple[str, ...], need: tuple[str, ...]
 ) -> None:

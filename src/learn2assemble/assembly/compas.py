@@ -17,7 +17,7 @@ import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, check_count, outward
 from learn2assemble.assembly.boxes import box_block
-from learn2assemble.assembly.values import DIGITS, any_colour, compact, coordinates
+from learn2assemble.assembly.values import any_colour, compact, coordinates, written
 from learn2assemble.errors import InputError
 from learn2assemble.files import write_file
 from learn2assemble.values import boolean, from_plain, mapping, number, sequence, text, to_plain
@@ -59,7 +59,7 @@ def to_compas(assembly: Assembly) -> dict[str, Any]:
     number = {step.place: k for k, step in enumerate(assembly.steps, 1)}
     for block in finished.blocks:
         nodes[str(place[block.id])] = {
-            **dict(zip("xyz", np.round(block.centroid, DIGITS).tolist(), strict=True)),
+            **dict(zip("xyz", written(block.centroid), strict=True)),
             "block": _compas_mesh(block, place[block.id]),
             "is_support": block.support,
             "step": number.get(block.id),
@@ -68,7 +68,7 @@ def to_compas(assembly: Assembly) -> dict[str, Any]:
     if not any(block.support for block in finished.blocks):
         slab = _ground_slab(finished)
         nodes[str(ground)] = {
-            **dict(zip("xyz", np.round(slab.centroid, DIGITS).tolist(), strict=True)),
+            **dict(zip("xyz", written(slab.centroid), strict=True)),
             "block": _compas_mesh(slab, ground),
             "is_support": True,
             "step": None,
@@ -118,7 +118,7 @@ def to_compas(assembly: Assembly) -> dict[str, Any]:
 
 def _compas_mesh(block: Block, place: int) -> dict[str, Any]:
     """A block of compas_assembly; ``place`` is its number in our assembly and that of its node."""
-    vertices: list[list[float]] = block.vertices.round(DIGITS).tolist()
+    vertices: list[list[float]] = written(block.vertices)
     data: dict[str, Any] = {
         "attributes": {
             "name": block.id,
@@ -173,11 +173,11 @@ def _compas_edges(assembly: Assembly, nodes: Sequence[int], ground: int) -> dict
         interface: dict[str, Any] = {
             "dtype": "compas_assembly.datastructures/Interface",
             "data": {
-                "points": np.round(points, DIGITS).tolist(),
+                "points": written(points),
                 "size": float(contacts.area[k]),
                 "frame": {
                     "dtype": "compas.geometry/Frame",
-                    "data": {key: at.round(DIGITS).tolist() for key, at in frame.items()},
+                    "data": {key: written(at) for key, at in frame.items()},
                 },
                 "forces": None,
                 "mesh": None,

@@ -35,7 +35,7 @@ from learn2assemble.assembly.joints import (
 from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.assembly.meshes import KINDS, mesh_kind, read_parts
 from learn2assemble.assembly.parts import shells
-from learn2assemble.assembly.values import DIGITS, compact
+from learn2assemble.assembly.values import compact, written
 from learn2assemble.errors import InputError, UnknownNameError, check_instance, is_number, look_up
 from learn2assemble.files import (
     UNITS,
@@ -152,10 +152,7 @@ def write_assembly(assembly: Assembly, path: str | Path, *, overwrite: bool = Fa
 
 def to_json(assembly: Assembly) -> dict[str, Any]:
     """The JSON document of our format."""
-    blocks = [
-        {**to_plain(block), "vertices": np.round(block.vertices, DIGITS).tolist()}
-        for block in assembly.blocks
-    ]
+    blocks = [{**to_plain(block), "vertices": written(block.vertices)} for block in assembly.blocks]
     return {
         "format": FORMAT,
         "version": VERSION,

@@ -22,6 +22,11 @@ def compact(document: dict[str, Any]) -> str:
     return json.dumps(document, separators=(",", ":"))
 
 
+def written(points: np.ndarray) -> Any:
+    """Coordinates as files have them: lists of numbers, without a minus before zero."""
+    return (np.round(points, DIGITS) + 0.0).tolist()
+
+
 def coordinates(rows: Any, where: str) -> np.ndarray:
     """float64[n, 3]: a list of points; messages call it ``where``."""
     expected = "a list of points [x, y, z]"

@@ -58,6 +58,7 @@ from learn2assemble.robot.moves import (
     turns,
 )
 from learn2assemble.robot.registry import TOOLS
+from learn2assemble.values import rounded
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly
@@ -111,8 +112,9 @@ class Reach:
     @property
     def words(self) -> str:
         """Where the base stands, in words."""
-        x, y, z, facing = self.base
-        return f"[{x:.2f}, {y:.2f}, {z:.2f}] facing {math.degrees(facing):.0f} degrees"
+        x, y, z = (f"{rounded(value, 2):.2f}" for value in self.base[:3])
+        facing = rounded(math.degrees(self.base[3]), 0)
+        return f"[{x}, {y}, {z}] m facing {facing:.0f} degrees"
 
 
 def reach_from(

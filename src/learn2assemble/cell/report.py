@@ -26,6 +26,7 @@ from learn2assemble.planning.reports import ArmFailure, ArmReport
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Shape, Solid, solids
 from learn2assemble.robot.moves import Outcome
+from learn2assemble.values import rounded
 
 EXACT = 1e-6
 """Poses that differ by less are the same [m]."""
@@ -62,9 +63,8 @@ def arm_report(
     Args:
         others: steps that other arms have done.
     """
-    x, y, z = job.arm.base_position.tolist()
-    facing = float(job.arm.base_yaw - get_arm(workcell.arm).base_yaw)
-    base = round(x, 6), round(y, 6), round(z, 6), round(facing, 6)
+    x, y, z = map(rounded, job.arm.base_position.tolist())
+    base = x, y, z, rounded(job.arm.base_yaw - get_arm(workcell.arm).base_yaw)
     if building is None:
         return ArmReport(workcell.arm, 0.0, 0, (), 0.0, workcell.tool, base, len(job.sources))
     failures = tuple(
@@ -258,7 +258,7 @@ def carried_out(
             old = old.with_proof(*(shown or ("carried out", None)))
         there = not step.remove and world.state[step.block] == STANDING
         pose = world.pose[step.block] if there else world.target(step.block)
-        x, y, z, w, a, b, c = (round(float(v), 6) for v in pose)
+        x, y, z, w, a, b, c = (rounded(v) for v in pose)
         above = "above" if attempt is None or not attempt.sideways else "the side"
         how = f"suction from {above}" if by.building.job.arm.suction else "fingers"
         hand = attempt is not None and attempt.hand
@@ -391,4 +391,4 @@ def _waiting(building: Building, k: int) -> Any:
     world = building.world
     number = world.source[k] if world.source[k] is not None else world.magazine(k)
     pose = world.target(k) if number is None else world.presented(k, number)
-    return tuple(round(float(v), 6) for v in pose[:3])
+    return tuple(rounded(v) for v in pose[:3])

@@ -222,7 +222,8 @@ def _build(options: argparse.Namespace, output: Output) -> int:
     if video:
         needs.append(("av", "video", "--no-video"))
     require(*needs)
-    with claim_folder(options.out, options.resume):
+    interrupted = state is not None and state.exists()
+    with claim_folder(options.out, options.resume, "go on with `resume=`" * interrupted):
         output.phase(f"reading {options.design}")
         plan = build(
             options.design,
@@ -438,7 +439,7 @@ def _print_arm(output: Output, arm: ArmReport, name: str) -> None:
     if rest := Counter(failure.outcome for failure in arm.failures[shown:]):
         told = ", ".join(f"{count} {outcome}" for outcome, count in rest.items())
         output.say(f"more attempts that failed: {told} (--verbose shows each)")
-    where = f" at [{', '.join(f'{v:g}' for v in arm.base[:3])}]" if arm.base else ""
+    where = f" at [{', '.join(f'{v:g}' for v in arm.base[:3])}] m" if arm.base else ""
     places = f"blocks from {arm.places} place{'s'[: arm.places != 1]}" if arm.places else ""
     output.say(f"arm {name} with {arm.tool}{where}{', ' * bool(places)}{places}")
     a_step = "" if arm.attempts_per_step is None else f" ({arm.attempts_per_step:.3f} a step)"

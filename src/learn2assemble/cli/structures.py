@@ -24,6 +24,7 @@ from learn2assemble.cli.parser import (
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.files import UNITS, claim_folder, write_file
 from learn2assemble.robot.registry import ARMS
+from learn2assemble.values import rounded
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly
@@ -95,7 +96,12 @@ def _reach(options: argparse.Namespace, output: Output) -> int:
             return _team_reach(found, options.out, output)
         here, best, blocks = found.here, found.best, found.assembly.blocks
         rows = [
-            (blocks[k].id, blocks[k].kind, *(f"{v:.3f}" for v in blocks[k].centroid), why)
+            (
+                blocks[k].id,
+                blocks[k].kind,
+                *(f"{rounded(v, 3):.3f}" for v in blocks[k].centroid),
+                why,
+            )
             for k, why in here.out.items()
         ]
         if rows:

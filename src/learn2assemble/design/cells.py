@@ -43,6 +43,8 @@ class CellDesign:
             corner of cell (0, 0, 0); None where cells were given as such.
         note: what was done to the file to read it, in one line; empty where nothing was.
         not_read: what is visible in the file and is not read, in one line; None where nothing is.
+        drawn: sides that were drawn, of ``front`` (its viewer stands at -y), ``back``, ``right``
+            and ``left``; none where the file is no drawing and no picture.
     """
 
     name: str
@@ -57,6 +59,7 @@ class CellDesign:
     surface: np.ndarray | None = None
     note: str = ""
     not_read: str | None = None
+    drawn: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         cells, edges = np.asarray(self.wanted), np.ravel(self.cell)

@@ -84,7 +84,7 @@ def from_drawing(drawing: Drawing, origin: Origin) -> CellDesign:
         blocks=drawing.blocks,
         note="; ".join(dict.fromkeys(lost)),
     )
-    return design_of(
+    made = design_of(
         share,
         origin,
         cell,
@@ -93,6 +93,7 @@ def from_drawing(drawing: Drawing, origin: Origin) -> CellDesign:
         colours=colours,
         surface=surface,
     )
+    return replace(made, drawn=tuple(side for side in SIDES if side in boxes))
 
 
 def _not_shown(walls: list[Contours], edges: tuple[float, float]) -> list[str]:

@@ -209,7 +209,8 @@ def _picture(file: DesignFile, origin: Origin) -> CellDesign:
     surface = None
     if outline is not None:
         surface = upright(outline[:, 0], outline[:, 1], 0) * (1, thick, 1)
-    return design_of(share, origin, cell, colours=colours, surface=surface)
+    made = design_of(share, origin, cell, colours=colours, surface=surface)
+    return replace(made, drawn=("front",))
 
 
 def _from_voxels(voxels: Voxels, origin: Origin) -> CellDesign:

@@ -31,6 +31,7 @@ from learn2assemble.export.cards import step_cards
 from learn2assemble.export.pdf import pdf
 from learn2assemble.files import as_path, check_new, write_file
 from learn2assemble.registry import Registry
+from learn2assemble.values import rounded
 
 
 def bill_of_blocks(assembly: Assembly) -> str:
@@ -289,4 +290,4 @@ def _angles(cut: Cut) -> str:
 
 
 def _numbers(values: np.ndarray) -> str:
-    return " ".join(f"{value:.9g}" for value in values)
+    return " ".join(f"{rounded(value, 12):.9g}" for value in values)

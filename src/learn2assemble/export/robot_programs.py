@@ -7,6 +7,7 @@ All of them are made from the record that a build with an arm leaves, by way of 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from learn2assemble.export.place_words import place_rows
 from learn2assemble.export.robot_tables import read_table, write_franka, write_table
 from learn2assemble.export.ros2 import is_bag, read_bag, write_bag
 from learn2assemble.export.urscript import write_urscript
-from learn2assemble.files import as_path, check_exists, check_new
+from learn2assemble.files import as_path, check_exists, check_new, printable
 from learn2assemble.motion.driver import arm_of
 from learn2assemble.motion.files import read_record
 from learn2assemble.motion.knots import usage
@@ -54,6 +55,8 @@ WHERE = {
     "ros2": "`places` in the message on /program",
 }
 """Where a file of each format says where blocks are taken from."""
+_FROM_A_BUILD = re.compile(r"plan\.json|trajectory(-\d+)?\.(json|csv)")
+"""Files of a build that are taken for programs: what was planned, and how the arm moved."""
 REFILL = {
     "hand": "a person, whom the program asks",
     "feeder": "something that has the next block there in time",
@@ -187,12 +190,16 @@ def read_program(path: str | Path, arm: str) -> tuple[Program, Arm]:
         the program, and the arm with its tool where it stood.
 
     Raises:
-        InputError: for a file that is damaged, incomplete, or for another arm, and for motions
-            beyond the limits of the arm.
+        InputError: for a file that is damaged, incomplete, for another arm, or of the build itself
+            (its ``trajectory.json`` and ``.csv``), and for motions beyond the limits of the arm.
         MissingExtraError: for a bag without the extra ``ros2``.
     """
     path = as_path(path, "program")
     look_up("arm", arm, ARMS)
+    if path.is_dir() or _FROM_A_BUILD.fullmatch(path.name):
+        got = "a folder" if path.is_dir() else "a file of the build itself"
+        expected = "a program, which l2a export makes of a build (csv, franka or ros2)"
+        raise InputError(printable(str(path)), got, expected)
     return (read_bag if is_bag(path) else read_table)(path, arm)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import gzip
 import io
 import json
+import re
 from collections.abc import Iterator
 from contextlib import nullcontext
 from itertools import pairwise
@@ -268,6 +269,8 @@ def write_table(program: Program, arm: Arm, path: Path, more: dict[str, Any] | N
     with gzip.GzipFile("", "wb", 6, out, mtime=0) if packed else nullcontext(out) as file:
         file.write(("\n".join(lines) + "\n").encode())
         pattern = ",".join(form for _, form in columns).replace("%s", "%%s") + "\n"
+        digits = [re.fullmatch(r"%\.(\d+)f", form) for _, form in columns if form != "%s"]
+        least = np.array([0.5 * 10.0 ** -int(one[1]) if one else 1e-300 for one in digits])
         blocks = _block_of(program)
         tool = np.array([[float(getattr(s, f)) for f in fields] for s in program.states])
         for first in range(0, count, CHUNK):
@@ -286,7 +289,8 @@ def write_table(program: Program, arm: Arm, path: Path, more: dict[str, Any] | N
             names = [STAGES[k] if k >= 0 else "" for k in stages]
             steps: list[int] = program.step[piece].tolist()
             words = zip([blocks.get(k, "") for k in steps], names, strict=True)
-            rows = zip((numbers + 0.0).tolist(), words, strict=True)
+            numbers[np.abs(numbers) < least] = 0.0  # no minus zero
+            rows = zip(numbers.tolist(), words, strict=True)
             file.write("".join(pattern % tuple(row) % told for row, told in rows).encode())
     write_file(path, out.getvalue(), "program")
 
@@ -392,7 +396,7 @@ def _split(content: bytes, source: str) -> tuple[dict[str, Any], list[str], int]
         key, colon, value = line[1:].strip().partition(": ")
         if colon:
             head[key] = load_json(value, f"{source}: {key}", FORMAT)
-    raise InputError(source, "no header" if count else "an empty file", f"a table of {FORMAT}")
+    raise InputError(source, "no header" if count else "an empty file", "an exported program")
 
 
 def _check_motion(knots: Knots, arm: Arm, source: str) -> None:

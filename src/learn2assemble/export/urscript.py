@@ -76,7 +76,7 @@ def write_urscript(
     text = _head(program, arm, settings or ProgramSettings(), resume_from, refill)
     told = sorted(_told(program, arm), key=lambda one: one.time)
     halts = [time for step in program.steps for time in step.checks]
-    halts += [time for k in range(len(program.steps)) if (time := _aside(program, arm, k))]
+    halts += [ask.time for ask in _asks(program, arm) if ask.time is not None]
     lines: list[str] = []
     for begin, end in motions(program):
         for part in _lines(program, arm, begin, end, halts):
@@ -84,8 +84,11 @@ def write_urscript(
                 lines.append(told.pop(0).text)
             lines.append(part.text)
     lines += [*(one.text for one in told), "end"]
+    deep = 1
     for line in (line for block in lines for line in block.splitlines()):
-        text += f"{'  ' if line.startswith(('# step', 'if', 'end')) else '    '}{line}\n"
+        deep -= line == "end"
+        text += f"{'  ' * deep}{line}\n"
+        deep += line.startswith("if ")
     text += "end\n"
     write_file(path, text, "program")
 
@@ -210,33 +213,30 @@ def _simplified(q: np.ndarray, first: int, last: int) -> list[int]:
 
 def _told(program: Program, arm: Arm) -> Iterator[_Line]:
     """What is done besides moving: the steps by their numbers, the tool, and checks."""
-    begin = 0.0
+    begin, asks = 0.0, list(_asks(program, arm))
+    yield from (_Line(ask.time, ask.call) for ask in asks if ask.time is not None)
     for k, step in enumerate(program.steps):
         first = program.knots.at(np.array([begin]))[0][0]
         state = program.states[int(program.states_at(np.array([begin]))[0])]
-        aside, resumed = _aside(program, arm, k), ""
-        if aside is not None:
-            yield _Line(aside, f"l2a_wait_for_block({_wanted(program, step)})")
-            resumed = f"l2a_resumed({step.number}, {_wanted(program, step)})\n"
-        refill = f"\nl2a_wait_for_block({_wanted(program, step)})" if _lacks(step) else ""
+        told = [_asked_on_resuming(ask, step.number) for ask in asks if ask.after == k]
         yield _Line(
             begin,
             "end\n" * bool(k)
             + (
                 f"# step {_step_words(program, step)}\n"
                 f"if (l2a_resume_from <= {step.number}):\n"
-                f"{_pauses(program, k)}{resumed}"
+                f"{_pauses(program, k)}{''.join(told)}"
                 f"l2a_start({step.number}, [{_list(first)}], {state.width:.4f}, {state.speed:.3f})"
-                f"{_taken_back(program, k)}{'' if resumed else refill}"
             ),
         )
         for time in step.checks:
             name = plain(program.blocks.name(step.cells[0]))
             yield _Line(time, f'l2a_check({step.number}, "{name}")')
         begin = step.end
-    last = _pauses(program, len(program.steps)) + _taken_back(program, len(program.steps))
-    if last:
-        yield _Line(begin, last.strip("\n"))
+    last = _pauses(program, len(program.steps))
+    left = [ask.call for ask in asks if ask.after == len(program.steps) and ask.time is None]
+    if last or left:
+        yield _Line(begin, last + "\n".join(left))
     (first, _), *later = changes(program)
     was_closed = bool(first.force) or first.vacuum
     for state, new in later:
@@ -271,9 +271,38 @@ def _step_words(program: Program, step: ProgramStep) -> str:
     return plain(said + " (failed in the build)" * (not step.reached))
 
 
-def _lacks(step: ProgramStep) -> bool:
-    """Whether someone has to lay the block of a step at its place first."""
-    return step.pick is not None and step.pick.refill
+class _Ask(NamedTuple):
+    """What someone has to do by hand at a place where the arm takes blocks or puts them back."""
+
+    after: int
+    """So many steps are done before."""
+    time: float | None
+    """When the arm stands and waits for it [s]; None: before the next step begins."""
+    call: str
+    """A function of the script, and what it is told."""
+
+
+def _asks(program: Program, arm: Arm) -> Iterator[_Ask]:
+    """What is asked for, in order: blocks to be laid, and blocks to be taken away."""
+    begin = 0.0
+    for k, step in enumerate(program.steps):
+        if step.pick is not None and step.pick.refill:
+            time = None if step.held is None else _aside(program, arm, k, step.held[0])
+            yield _Ask(k, time, f"l2a_wait_for_block({_wanted(program, step)})")
+        for one in program.blocks.supply:
+            if begin + 1e-9 < one.time <= step.end + 1e-9 and one.poses[0, 2] < 0:
+                name = plain(program.blocks.name(one.cells[0]))
+                words = f"take {name} away, where the arm has put it down, then go on"
+                time = _aside(program, arm, k + 1, step.end if step.held is None else step.held[1])
+                yield _Ask(k + 1, time, f'l2a_wait_until_taken("{name}", "{words}")')
+        begin = step.end
+
+
+def _asked_on_resuming(ask: _Ask, number: int) -> str:
+    """Lines that ask in a step: who goes on from it was not asked in the step before."""
+    if ask.time is None:
+        return f"{ask.call}\n"
+    return f"if (l2a_resume_from == {number}):\n{ask.call}\nend\n"
 
 
 def _wanted(program: Program, step: ProgramStep) -> str:
@@ -285,36 +314,31 @@ def _wanted(program: Program, step: ProgramStep) -> str:
     return f'{place.number}, "{kind}", "{words}, then go on"'
 
 
-def _aside(program: Program, arm: Arm, number: int) -> float | None:
-    """When the arm waits for the block of a step to be laid [s]: on its way back from the step
-    before, where the tool is farthest from the place, as steps begin right over it. None where
-    nothing has to be laid, or nothing was let go before."""
-    if not number or not _lacks(program.steps[number]):
+def _aside(program: Program, arm: Arm, after: int, there: float) -> float | None:
+    """When the arm waits while a hand is where the tool is at another time.
+
+    In the last of the steps that are done, empty, where the tool is farthest from that place: at
+    the end of a step it is right over the next block, or over what it has just put down.
+
+    Args:
+        after: so many steps are done.
+        there: when the tool is at the place [s].
+
+    Returns:
+        float | None: [s]; None before the first step.
+    """
+    if not after:
         return None
-    before, step = program.steps[number - 1], program.steps[number]
-    if before.held is None or step.held is None:
-        return None
+    last = program.steps[after - 1]
+    begin = program.steps[after - 2].end if after > 1 else 0.0
+    empty = begin if last.held is None else last.held[1]
     time = program.knots.time
-    times = time[(time > before.held[1] + 1e-6) & (time < before.end - 1e-6)]
+    times = time[(time > empty + 1e-6) & (time < last.end - 1e-6)]
     if not len(times):
         return None
-    q = program.knots.at(np.append(times, step.held[0]))[0]
+    q = program.knots.at(np.append(times, there))[0]
     tool, _ = forward_many(get_chain(arm), np.ascontiguousarray(q))
     return float(times[norm(tool[:-1] - tool[-1], axis=1).argmax()])
-
-
-def _taken_back(program: Program, done: int) -> str:
-    """Calls that wait until what a magazine takes back after so many steps is gone."""
-    if not done:
-        return ""
-    begin = program.steps[done - 2].end if done > 1 else 0.0
-    said = ""
-    for one in program.blocks.supply:
-        if begin + 1e-9 < one.time <= program.steps[done - 1].end + 1e-9 and one.poses[0, 2] < 0:
-            name = plain(program.blocks.name(one.cells[0]))
-            words = f"take {name} away, where the arm has put it down, then go on"
-            said += f'\nl2a_wait_until_taken("{name}", "{words}")'
-    return said
 
 
 def _payload(program: Program, arm: Arm, time: float, load: float) -> str:

@@ -40,6 +40,7 @@ from learn2assemble.motion.safety import Guarded
 from learn2assemble.motion.setup import Setup, Surroundings, check_address, open_plant
 from learn2assemble.motion.trust import Trusted
 from learn2assemble.planning.plan import Plan, load_plan
+from learn2assemble.values import rounded
 
 SIMULATION = "sim://"
 IN_HAND = "hand"
@@ -322,4 +323,4 @@ def _take_away(plant: Plant, setup: Setup, building: Building) -> None:
 
 
 def _list(joints: np.ndarray) -> str:
-    return f"[{', '.join(f'{value:.3f}' for value in joints)}]"
+    return f"[{', '.join(f'{rounded(value, 3):.3f}' for value in joints)}]"

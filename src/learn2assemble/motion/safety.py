@@ -27,7 +27,7 @@ from learn2assemble.motion.plant import (
 )
 from learn2assemble.robot.arm import Arm, arm_spec
 from learn2assemble.robot.kinematics import Chain, forward_many, get_chain
-from learn2assemble.values import check_keys, mapping, number, sequence
+from learn2assemble.values import check_keys, mapping, number, rounded, sequence
 
 SECTION = "safety"
 """Key of the rules in a layout file."""
@@ -203,7 +203,7 @@ class SafetyRules:
             low, high = np.array(self.safety.box)
             spare = np.minimum(position - low, high - position).min(1)
             for k in np.flatnonzero(spare < 0).tolist():
-                place = ", ".join(f"{x:.3f}" for x in position[k])
+                place = ", ".join(f"{rounded(x, 3):.3f}" for x in position[k])
                 words[k] = f"the tool would be at {place}, outside its box"
         if self._boxes:
             for k in range(len(q)):

@@ -20,7 +20,7 @@ from learn2assemble.planning.folder import FORMAT, check_own
 from learn2assemble.planning.reports import ArmReport, BuilderArm, RebuildReport
 from learn2assemble.progress import Progress, silent
 from learn2assemble.registry import Registry
-from learn2assemble.values import Range, from_plain, integer, mapping, to_plain
+from learn2assemble.values import Range, from_plain, integer, mapping, rounded, to_plain
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly, Block
@@ -100,6 +100,8 @@ class PlanDesign:
     """What is visible in the file and is not part of the design, in one line."""
     note: str | None = None
     """What was done to the file to read it."""
+    drawn: tuple[str, ...] | None = None
+    """Of a drawing or picture, the sides it shows; the viewer of its ``front`` stands at -y."""
     boxes: tuple[PlanBox, ...] = ()
     """Of goals: what has to be filled, reached or loaded, and what stays empty."""
 
@@ -194,7 +196,7 @@ class Step:
 
 def block_step(number: int, index: int, block: Block, action: Action, coverage: float) -> Step:
     """The step with a number, from 1, of a block with an index in its assembly."""
-    x, y, z = (round(float(c), 6) for c in block.centroid)
+    x, y, z = (rounded(c) for c in block.centroid.tolist())
     return Step(
         step=number,
         block=index,

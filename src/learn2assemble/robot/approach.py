@@ -24,6 +24,7 @@ from learn2assemble.robot.inverse import RESTARTS, ik_seeds, seed_distances, sol
 from learn2assemble.robot.joint_path import joint_path
 from learn2assemble.robot.kinematics import forward, forward_many, get_chain
 from learn2assemble.robot.moves import LEVEL
+from learn2assemble.values import rounded
 
 LOW_HEIGHT = 0.05
 """Above the table at which it is shown how far an arm reaches: that of a block that lies [m]."""
@@ -113,7 +114,8 @@ def follow_poses(
         if not reason and joints and np.abs(found.joints - joints[-1]).max() > jump:
             reason = "no steady way there"
         if reason:
-            return "tool at ({:.3f}, {:.3f}, {:.3f}): {}".format(*point, reason)
+            at = ", ".join(f"{rounded(value, 3):.3f}" for value in point)
+            return f"tool at ({at}): {reason}"
         joints.append(found.joints)
     return np.array(joints)
 

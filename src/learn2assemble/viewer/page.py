@@ -37,7 +37,7 @@ from learn2assemble.viewer.errors import error_section
 from learn2assemble.viewer.html import fact_list, speed_options, stand_alone
 from learn2assemble.viewer.places import place_section
 from learn2assemble.viewer.playback import Playback
-from learn2assemble.viewer.scene import Mark, ScenePart, cell_labels
+from learn2assemble.viewer.scene import SEEN_FROM_BEHIND, Mark, ScenePart, cell_labels
 from learn2assemble.viewer.tables import StepNote
 from learn2assemble.viewer.words import (
     BLAME_WORDS,
@@ -132,6 +132,7 @@ def render_assembly_page(
     captions = [f"Start: {count_words(standing, 'block')} in place."]
     captions += [step.caption for step in noted]
     marks = _blamed(plan)
+    front = plan is not None and scene.drawn_from_front(plan.design.drawn)
     data = scene.scene_data(parts, shapes, layers, len(steps), assembly.joint)
     data |= _plan_data(plan) | {
         "captions": captions,
@@ -139,7 +140,7 @@ def render_assembly_page(
         "joints": scene.joint_data(forces) if forces is not None else None,
         "marks": scene.mark_data(marks),
         "scale": scene.scale_data(told.origin, _corners(parts)[1] - told.origin),
-        "view": scene.first_view((part.block for part in parts), *(arm.base for arm in arms[:1])),
+        "view": scene.first_view((part.block for part in parts), [arm.base for arm in arms], front),
     }
     page = {
         **_head(title, verdict, plan),
@@ -149,6 +150,7 @@ def render_assembly_page(
         + _target_legend(plan),
         "licence": LICENCE,
         "facts": fact_list(facts),
+        "behind": f'<p class="behind" id="behind" hidden>{SEEN_FROM_BEHIND}</p>' * front,
     }
     asked = plan is not None and not plan.complete and not steps
     low, high = _corners(parts)
@@ -168,8 +170,8 @@ def render_assembly_page(
         playback = Playback(plan.records, plan)
         labels = cell_labels(assembly, playback.blocks, captions)
         data["arm"] = arm_data(playback, labels)
-        base = playback.arms[0].shape.chain.offset[0, :2]
-        data["view"] = scene.first_view((part.block for part in parts), base)
+        bases = [arm.shape.chain.offset[0, :2] for arm in playback.arms]
+        data["view"] = scene.first_view((part.block for part in parts), bases, front)
         page |= {**arm_values(playback), "body": "movable assembly with-arm"}
         page["views"] += NEAR_VIEW
         page["legend"] += tables.entry("waiting", "waiting block")

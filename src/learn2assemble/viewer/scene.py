@@ -18,6 +18,7 @@ from learn2assemble.assembly.bricks.mates import HEIGHT, RADIUS, knobs_on
 from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.assembly.joints import DRY, Joint
 from learn2assemble.assembly.parts import to_manifold
+from learn2assemble.values import rounded
 from learn2assemble.viewer.arm import Labels
 from learn2assemble.viewer.html import packed, to_base64
 
@@ -26,6 +27,12 @@ _WIDE = 1.25
 ASIDE, _MORE_ASIDE = 0.5, 0.8
 """How far beside the middle of its wide side one looks at it from first, as a share of how far one
 is in front; from the second with an arm behind, which then stands beside it."""
+BESIDE = (ASIDE, _MORE_ASIDE, 1.0, 1.25, 1.5, 1.75)
+"""The same for the front of a drawing that an arm may hide: the first one where none does."""
+_ARM = 0.12
+"""An arm hides what is behind this much of each side of the middle of its base [m]."""
+SEEN_FROM_BEHIND = "Seen from behind: left and right are exchanged."
+"""What page and video say where one looks at the back of what was drawn from the front."""
 _COVERED = 0.03
 """Share of a side that may be left open where it counts as covered, and how far apart sides that
 touch may be, as a share of the smallest edge."""
@@ -141,12 +148,16 @@ def nothing_to_draw(size: float) -> dict[str, Any]:
     }
 
 
-def first_view(blocks: Iterable[Block], arm: np.ndarray | None = None) -> list[float]:
+def first_view(
+    blocks: Iterable[Block], arms: Sequence[np.ndarray] = (), front: bool = False
+) -> list[float]:
     """From where a page is seen first, above all: the wide side of what is built faces the viewer,
-    a little from one side. An arm stands behind it or beside it, not before it.
+    a little from one side. An arm stands behind it or beside it, not before it. Of what was drawn
+    from the front that side is seen, unless an arm hides it.
 
     Args:
-        arm: float64[2], where one stands, if any [m, world].
+        arms: float64[2] of each, where it stands [m, world].
+        front: whether what is built was drawn from the front alone (:func:`drawn_from_front`).
 
     Returns:
         angle [rad] about z of the side that faces the viewer, 0 for the one towards -y, in whole
@@ -161,8 +172,8 @@ def first_view(blocks: Iterable[Block], arm: np.ndarray | None = None) -> list[f
     along *= int(ahead[0])
     across = np.array([-along[1], along[0]])
     wide = float(np.ptp(points @ along)) > _WIDE * float(np.ptp(points @ across))
-    away = np.zeros(2) if arm is None else arm - middle
-    if not wide and arm is None:
+    away = arms[0] - middle if arms else np.zeros(2)
+    if not wide and not arms:
         along, aside = np.array([1.0, 0.0]), -ASIDE
     elif not wide:  # The arm stands on the left.
         along, aside = -away, ASIDE
@@ -177,7 +188,45 @@ def first_view(blocks: Iterable[Block], arm: np.ndarray | None = None) -> list[f
             aside = ASIDE if beside < 0 else -ASIDE
     step = math.radians(15)
     turn = step * round(math.atan2(along[1], along[0]) / step)
-    return [rounded(turn), aside]
+    found = [rounded(turn), aside]
+    if front and is_behind(found):
+        before = _before_front(points, [arm - middle for arm in arms])
+        return found if before is None else [0.0, before]
+    return found
+
+
+def drawn_from_front(drawn: Sequence[str] | None) -> bool:
+    """Whether sides that were drawn have a front and no back, which would be seen as drawn, too."""
+    return drawn is not None and "front" in drawn and "back" not in drawn
+
+
+def is_behind(view: Sequence[float]) -> bool:
+    """Whether the viewer of :func:`first_view` stands behind, where y is larger."""
+    turn, aside = view
+    return math.sin(turn) * aside - math.cos(turn) > 1e-6
+
+
+def _before_front(points: np.ndarray, arms: Sequence[np.ndarray]) -> float | None:
+    """How far to the right of the middle one looks at the front with no arm before it, as a share
+    of how far in front; None where an arm is before it from everywhere.
+
+    Args:
+        points: float64[n, 2] of what is built, from its middle [m].
+        arms: float64[2] of each from there [m].
+    """
+    for share in BESIDE:
+        for aside in (share, -share):
+            right = np.array([1.0, aside]) / math.hypot(1.0, aside)
+            toward = np.array([right[1], -right[0]])
+            seen = points @ right
+            hidden = (
+                float(arm @ toward) > 0
+                and seen.min() - _ARM < float(arm @ right) < seen.max() + _ARM
+                for arm in arms
+            )
+            if not any(hidden):
+                return aside
+    return None
 
 
 def mark_data(marks: Sequence[Mark]) -> list[dict[str, Any]]:
@@ -389,8 +438,3 @@ def joint_data(forces: tuple[Contacts, np.ndarray | None]) -> dict[str, Any] | N
     if vectors is not None and (largest := float(np.linalg.norm(vectors, axis=1).max())) > 0:
         found |= {"forces": packed(vectors, np.uint16), "largest": largest}
     return found
-
-
-def rounded(value: float) -> float:
-    """To a micrometre."""
-    return round(float(value), 6) + 0.0

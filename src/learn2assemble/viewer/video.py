@@ -30,7 +30,13 @@ from learn2assemble.viewer import renderer
 from learn2assemble.viewer.arm import Labels, arms_words, extent, object_name
 from learn2assemble.viewer.picture import ACCENT, INK, LINE, PAPER, RIM, SOFT
 from learn2assemble.viewer.playback import Playback, ReplaySegment, split
-from learn2assemble.viewer.scene import cell_labels
+from learn2assemble.viewer.scene import (
+    SEEN_FROM_BEHIND,
+    cell_labels,
+    drawn_from_front,
+    first_view,
+    is_behind,
+)
 from learn2assemble.viewer.words import clock_words, stage_words
 
 if TYPE_CHECKING:
@@ -106,9 +112,11 @@ class Frames:
             for cell in step.cells
         }
         self.buffers: Buffers = renderer.Buffers(self.triangles, WIDTH, HEIGHT - _FOOT)
-        view = self._view()
-        self.camera: Camera = self._camera(self._turned(_FROM[view]))
-        self.light: Light = renderer.sunlight(self._turned(_SUN[view]), self._points(), 0.12)
+        back, sun = self._view(plan)
+        self.behind: bool = drawn_from_front(plan.design.drawn) and bool(back[1] > 1e-6)
+        """Whether one looks at the back of what was drawn from the front, which is said then."""
+        self.camera: Camera = self._camera(back)
+        self.light: Light = renderer.sunlight(sun, self._points(), 0.12)
         self.sheets: list[np.ndarray] = self._sheets()
         self.ribbons: tuple[Image.Image, Image.Image] = self._ribbons()
 
@@ -272,6 +280,8 @@ class Frames:
         write(
             f"{arms_words(playback).lower()}, shown {self.speed:g} times as fast", 24, 66, 14, SOFT
         )
+        if self.behind:
+            write(SEEN_FROM_BEHIND, WIDTH - 24, 66, 14, SOFT, anchor="rs")
         now = 24 + round((WIDTH - 48) * clock / max(playback.duration, 1e-9))
         done, ahead = self.ribbons
         image.paste(ahead, (0, top + 12))
@@ -335,7 +345,22 @@ class Frames:
         eye = centre + distance * back
         return renderer.Camera(eye, axes, float(focal), np.array([width / 2, height / 2]))
 
-    def _view(self) -> int:
+    def _view(self, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
+        """Unit vectors to the camera and to the sun: from where the finished structure shows most,
+        but from before what was drawn from the front, unless an arm hides it from there."""
+        most = self._shows_most()
+        back, sun = self._turned(_FROM[most]), self._turned(_SUN[most])
+        if drawn_from_front(plan.design.drawn) and back[1] > 1e-6 and plan.assembly is not None:
+            bases = [arm.shape.chain.offset[0, :2] for arm in self.playback.arms]
+            view = first_view(plan.assembly.finished.blocks, bases, True)
+            if not is_behind(view):
+                turn, aside = view
+                back = yaw_matrix(turn) @ [aside, -1.0, 0.6]
+                # Over the shoulder on the other side of the arm, as the page does.
+                sun = yaw_matrix(turn) @ [-0.9 if aside > 0 else 0.9, -1.9, 2.5]
+        return back / np.linalg.norm(back), sun / np.linalg.norm(sun)
+
+    def _shows_most(self) -> int:
         """The number of the direction from which the finished structure shows most."""
         built = self.playback.record.steps[-1].after[:, :3]
         library = cast("Any", shapely)  # Its stubs have arguments without a type.

@@ -158,7 +158,8 @@ def _measure_arm(options: argparse.Namespace, output: Output) -> None:
         before = {key: known.get(key) for key in ("measure", "machine")}
         if before["machine"] != head["machine"]:
             head["earlier"] = [*known.get("earlier", []), before]
-    with nullcontext() if options.resume else claim_folder(options.out):
+    go_on = "go on with `resume=`"
+    with nullcontext() if options.resume else claim_folder(options.out, otherwise=go_on):
         found = measure_arm(options.agent, config, output.progress, keep, known)
     output.table(
         "complete",

@@ -53,8 +53,11 @@ def page_of(root: ElementTree.Element, source: str) -> Page:
     for key in ("width", "height"):
         given = root.get(key, "").strip()
         number, unit = paths.pair(given) or (0.0, "%")
-        if re.match(r"[-+.\d]", given) and paths.pair(given) is None:
-            raise InputError(source, f"a {key} {given!r}", "a length")
+        no_length = re.match(r"[-+.\d]", given) is not None and paths.pair(given) is None
+        if no_length or unit not in (*paths.PIXELS, *paths.RELATIVE):
+            got = f"{key}={given!r}" if no_length else f"the unit {unit} of {key}={given!r}"
+            units = ", ".join(filter(None, paths.PIXELS))
+            raise InputError(source, got, f"a length in one of {units}")
         known = unit in paths.PIXELS
         sizes.append(number * paths.PIXELS[unit] if known else None)
         if known and not number > 0:

@@ -34,6 +34,8 @@ PIXELS = {
     "pc": 16.0,
 }
 """User units of a length without a view box."""
+RELATIVE = ("%", "em", "rem", "ex", "ch", "vw", "vh", "vmin", "vmax")
+"""Units of lengths that are as long as something else is."""
 _DEGREES = {"": 1.0, "deg": 1.0, "grad": 0.9, "turn": 360.0, "rad": 180 / math.pi}
 
 Matrix = np.ndarray

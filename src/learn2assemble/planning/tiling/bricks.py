@@ -40,6 +40,7 @@ from learn2assemble.planning.tiling.bearing import (
 from learn2assemble.planning.tiling.linked import LayerCells, NoCover, linked_cover
 from learn2assemble.planning.tiling.slabs import inside, slabs_of
 from learn2assemble.statics.holding_check import JointAnswer, stands_by_joints
+from learn2assemble.values import rounded
 
 _CHANCES = 0.5, 8.0
 """How much chance is added to what a brick is worth [cells], at first and where something is
@@ -125,9 +126,10 @@ def plan_brick_cells(
         shape=(x, y, z),
         cell=(cell[0], cell[1], cell[2]),
         iou=None if design.iou is None else round(float(design.iou), 6),
-        volume_error=round(float(design.volume_error), 6),
+        volume_error=rounded(design.volume_error),
         not_read=design.not_read,
         note=design.note or plan.design.note,
+        drawn=design.drawn or None,
     )
     count = int(wanted.sum())
     missing = count - int(round(plan.coverage * count)) if plan.complete else count

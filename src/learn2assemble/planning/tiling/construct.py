@@ -29,6 +29,7 @@ from learn2assemble.planning.tiling.planners import (
 )
 from learn2assemble.planning.tiling.tile import Tiling
 from learn2assemble.statics.proofs import TIGHT, Bounds
+from learn2assemble.values import rounded
 
 
 def plan_cells(
@@ -158,9 +159,10 @@ def report_plan(
             shape=_shape(design.wanted),
             cell=_point(np.array(kit.pitch)),
             iou=None if design.iou is None else round(float(design.iou), 6),
-            volume_error=round(float(design.volume_error), 6),
+            volume_error=rounded(design.volume_error),
             not_read=design.not_read,
             note=design.note or None,
+            drawn=design.drawn or None,
         ),
         status=(
             "complete"

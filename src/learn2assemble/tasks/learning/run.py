@@ -37,6 +37,7 @@ from learn2assemble.files import (
     as_path,
     check_exists,
     claim_folder,
+    holds_something,
     load_json,
     read_json,
     read_text,
@@ -58,6 +59,8 @@ MAX_THREADS = 1024
 LOG_SECONDS = 10.0
 CHECKPOINT_SECONDS = 45.0
 """A kill loses at most this much work."""
+_GO_ON = "go on with `resume=`"
+"""What can be done with a folder in which a training stands already."""
 
 
 def choose_device(name: str) -> str:
@@ -320,7 +323,7 @@ def train_seeds(
     folders = [out.with_name(f"{out.name}-s{seed}") for seed in range(seeds)]
     taken = [folder for folder in folders if folder.exists() and any(folder.iterdir())]
     if taken and not resume:
-        raise InputError("out", str(taken[0]), "a new or empty folder, or `resume=`")
+        raise holds_something(taken[0], _GO_ON)
     _fitted(options.get("config", "relational"), task)
     options["quiet"] = True
     jobs = [(task, folder, {**options, "seed": seed}) for seed, folder in enumerate(folders)]
@@ -399,7 +402,7 @@ def run_training(
         started_from = {"name": init.name, "origin": init.origin}
     if resume and not (out / "state.safetensors").is_file():
         raise InputError("resume", str(out), "a folder with a state.safetensors")
-    with claim_folder(out, resume, "a new or empty folder, or `resume=`"):
+    with claim_folder(out, resume, _GO_ON):
         if resume:
             trainer.load(out / "state.safetensors")
             if seed not in (None, trainer.seed):

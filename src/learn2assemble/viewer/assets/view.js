@@ -28,6 +28,7 @@ function createView(canvas, { points, edge, floor = 0, first: [turn, aside] }) {
   camera.up.set(0, 0, 1);
   const turned = (x, y, z) => new THREE.Vector3(x, y, z).applyAxisAngle(new THREE.Vector3(0, 0, 1), turn);
   const front = turned(aside, -1, 0.6).normalize();
+  const behind = document.getElementById("behind"); // What is said where one looks at a drawing from there.
 
   addLights();
   addTable();
@@ -70,6 +71,7 @@ function createView(canvas, { points, edge, floor = 0, first: [turn, aside] }) {
   }
 
   function render() {
+    if (behind) behind.hidden = camera.position.y - controls.target.y < 1e-6 * reach;
     renderer.render(scene, camera);
     drawn = performance.now();
   }
