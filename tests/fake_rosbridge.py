@@ -131,10 +131,14 @@ class FakeRosbridge(FakeController):
                 "effort": [],
             },
         }
+        texts = {
+            topic: json.dumps({"op": "publish", "topic": topic, "msg": message}).encode()
+            for topic, message in said.items()
+        }
         for connection, topics in list(self._open.items()):
-            for topic in said:
-                if topic in topics:
-                    self._tell(connection, {"op": "publish", "topic": topic, "msg": said[topic]})
+            frames = [_framed(TEXT, text) for topic, text in texts.items() if topic in topics]
+            with contextlib.suppress(OSError):
+                connection.sendall(b"".join(frames))
 
     def _heard(self, connection: socket.socket, said: dict[str, Any]) -> None:
         op = said["op"]
@@ -153,6 +157,7 @@ class FakeRosbridge(FakeController):
     def _accept(self, listener: socket.socket) -> None:
         while True:
             connection, _ = listener.accept()
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if self.time < self.cut_until:
                 connection.close()
                 continue
@@ -191,14 +196,8 @@ class FakeRosbridge(FakeController):
         self.gone(connection)
 
     def _tell(self, connection: socket.socket, said: dict[str, Any]) -> None:
-        self._send(connection, TEXT, json.dumps(said).encode())
-
-    def _send(self, connection: socket.socket, code: int, content: bytes) -> None:
-        size = struct.pack("!BBH", 128 | code, 126, len(content))
-        if len(content) < 126:
-            size = struct.pack("!BB", 128 | code, len(content))
         with contextlib.suppress(OSError):
-            connection.sendall(size + content)
+            connection.sendall(_framed(TEXT, json.dumps(said).encode()))
 
     def cut(self) -> None:
         """All connections break; nobody is let in for a while."""
@@ -206,6 +205,14 @@ class FakeRosbridge(FakeController):
             with contextlib.suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
         self._open.clear()
+
+
+def _framed(code: int, content: bytes) -> bytes:
+    """A whole message as one frame."""
+    size = struct.pack("!BBH", 128 | code, 126, len(content))
+    if len(content) < 126:
+        size = struct.pack("!BB", 128 | code, len(content))
+    return size + content
 
 
 def _frame(connection: socket.socket) -> tuple[bool, int, bytes]:

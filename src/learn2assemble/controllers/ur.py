@@ -91,6 +91,13 @@ _STOPS = {
 }
 
 
+class _Closed:
+    """In the place of a connection that was closed."""
+
+    def isConnected(self) -> bool:
+        return False
+
+
 class UrPlant(Controller):
     """An arm behind its controller.
 
@@ -201,8 +208,8 @@ class UrPlant(Controller):
 
     def _watched(self, script: str, motion: Motion) -> Report:
         """Send a program, and wait for what comes of it."""
-        state, begun, ended = self._state, -1.0, -1.0
-        first = state.getTimestamp()
+        begun, ended = -1.0, -1.0
+        first = self._state.getTimestamp()
         try:
             with self._connection(self.place.port) as scripts:
                 scripts.sendall(script.encode("ascii"))
@@ -216,8 +223,8 @@ class UrPlant(Controller):
                     if why:
                         where = Stop.PROTECTIVE
                         break
-                    now, ours = state.getTimestamp(), self._ours()
-                    outcome = state.getOutputIntRegister(OUTCOME) if ours else 0
+                    now, ours = self._state.getTimestamp(), self._ours()
+                    outcome = self._state.getOutputIntRegister(OUTCOME) if ours else 0
                     if outcome:
                         where = _STOPS[ScriptOutcome(outcome)]
                         why = _WORDS.get(where, "")
@@ -226,7 +233,7 @@ class UrPlant(Controller):
                     if begun < 0 and now - first > self.around.answer:
                         where, why = Stop.REFUSED, "the controller did not begin with the program"
                         break
-                    runs = ours and state.getRuntimeState() == _PLAYING
+                    runs = ours and self._state.getRuntimeState() == _PLAYING
                     ended = -1.0 if runs or begun < 0 else now if ended < 0 else ended
                     if ended > 0 and now - ended > ENDED:
                         where, why = Stop.REFUSED, "the program was ended by somebody else"
@@ -238,7 +245,7 @@ class UrPlant(Controller):
                     self._wait()
         except (OSError, PlantError) as error:
             where, why = Stop.LOST, getattr(error, "why", str(error))
-        past = state.getOutputIntRegister(PROGRESS) / 1000 if self._ours() else 0.0
+        past = self._state.getOutputIntRegister(PROGRESS) / 1000 if self._ours() else 0.0
         if where in (Stop.LOST, Stop.LATE, Stop.REFUSED, Stop.PROTECTIVE):
             # Others were found by the program, which has stopped the arm.
             with contextlib.suppress(PlantError):
@@ -274,7 +281,9 @@ class UrPlant(Controller):
             with contextlib.suppress(PlantError):
                 self.stop()
         self._beat.close()
-        self._state.disconnect()
+        # Its end disconnects. That takes the library half a second, in which no Python runs: now,
+        # not when garbage is collected, as another connection may be watching its arm by then.
+        self._state = _Closed()
 
     # ------------------------------------------------------------ connections
 
