@@ -20,6 +20,8 @@ from numba import njit
 import learn2assemble as l2a
 from learn2assemble import linear_programs, progress
 from learn2assemble.assembly.kit import load_kit
+from learn2assemble.cell import carry_out
+from learn2assemble.cell.carry_out import Workcell
 from learn2assemble.cli import main, output
 from learn2assemble.cli.commands import _print_plan as print_plan
 from learn2assemble.cli.output import Output
@@ -115,6 +117,38 @@ def test_build_hands_details_on(monkeypatch: pytest.MonkeyPatch) -> None:
     told.clear()
     l2a.build(Path("examples/goals/over_the_water.json"), seconds=20, progress=told.append)
     assert any("best so far: " in line for line in told)
+
+
+def test_an_arm_tells_what_is_looked_for_and_how_far_that_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Every phase has its own name, also while another tool is tried."""
+    monkeypatch.setattr(progress, "EVERY", 0.0)
+    told: list[str] = []
+    cells = np.zeros((6, 1, 3), bool)
+    cells[:, 0, 0] = cells[1:4, 0, 1:] = True
+    l2a.build(cells, arm="ur5e", physics="kinematic", progress=told.append)
+    phases = [line for line in told if not isinstance(line, Detail)]
+    assert phases == [
+        "choosing blocks and proving their order",
+        "looking where the arm stands and where blocks wait",
+        "looking for an order that the arm can do",
+        "starting the simulation",
+    ]
+    for what in (
+        "kinds of blocks with a place to wait: 1 of ",
+        "steps in an order that the arm can do: 1 of ",
+        "attempt 1: ",
+    ):
+        assert any(line.startswith(what) for line in told), what
+    told.clear()
+    monkeypatch.setattr(carry_out, "with_other_tools", lambda _: ["suction-side"])
+    plan = l2a.build(cells)
+    assert carry_out.advise(plan, Workcell("ur5e", "suction"), 1e-4, told.append)
+    assert told[0] == "trying whether the arm does it with the tool suction-side"
+    assert all(line.startswith("trying the tool suction-side: ") for line in told[1:])
+    assert all(isinstance(line, Detail) for line in told[1:])
+    assert len(told) > 3
 
 
 def test_a_terminal_shows_details_in_the_line_that_beats(monkeypatch: pytest.MonkeyPatch) -> None:

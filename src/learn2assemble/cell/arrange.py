@@ -25,7 +25,7 @@ from learn2assemble.cell.world import (
 )
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.clearance import ways_out
-from learn2assemble.progress import Detail
+from learn2assemble.progress import Counting
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Attempt
 from learn2assemble.robot.studs import Studs
@@ -312,6 +312,7 @@ def _arrange(
     standing: set[int] = set()
     order: list[StepOf] = []
     by_hand: set[StepOf] = set()
+    found = Counting("steps in an order that the arm can do", len(job.steps), progress)
     for part in segments(job.steps):
         left = part if part[0].remove else sorted(part, key=lambda step: key(step.block))
         while left:
@@ -340,9 +341,7 @@ def _arrange(
             standing = after
             world.pose[step.block] = world.target(step.block)
             world.state[step.block] = RETURNED if step.remove else STANDING
-            if len(order) % 20 == 0:
-                done = f"step {len(order)} of {len(job.steps)}"
-                progress(Detail(f"an order the arm can reach: {done}"))
+            found.add()
     return Arranged(tuple(order), {}, frozenset(by_hand))
 
 

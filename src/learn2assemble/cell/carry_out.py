@@ -27,6 +27,7 @@ from learn2assemble.motion.plant import Plant, PlantError
 from learn2assemble.motion.setup import BlockKind, Setup, open_plant
 from learn2assemble.planning.brick_plan import with_hands
 from learn2assemble.planning.plan import Plan
+from learn2assemble.progress import Detail
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.kinematic import KinematicCell
@@ -58,7 +59,9 @@ def prepare(
         InputError: for what cannot be held or reached, and for a layout that does not work.
     """
     job = job_of(plan, workcell.arm, joint, workcell.hands)
-    job = set_up(job, workcell.arm, workcell.tool, workcell.site)
+    progress("looking where the arm stands and where blocks wait")
+    job = set_up(job, workcell.arm, workcell.tool, workcell.site, progress)
+    progress("looking for an order that the arm can do")
     cell = KinematicCell(job.arm, cells_of(job))
     if job.assembly.holds:
         bricks = BrickStructure(job)
@@ -107,6 +110,7 @@ def carry_out(
         return _refused(plan, found, workcell, advise(plan, workcell, joint, progress))
     if plan.assembly.holds:
         plan = plan_in_order(plan, order.steps)
+    progress("starting the simulation" if plant is None else "looking at the cell")
     setup = setup_of(job, workcell, found.structure)
     plant = plant or open_plant("sim://", setup)
     seen = through_cameras(plant, setup, job.pieces, workcell.site.cameras)
@@ -166,10 +170,16 @@ def advise(plan: Plan, workcell: Workcell, joint: float, progress: Progress) -> 
             return ""
         progress(f"trying whether the arm does it with the tool {tool}")
         with suppress(InputError):  # It holds not every block, or there is no room for magazines.
-            if not prepare(plan, replace(workcell, tool=tool), joint).order.stuck:
+            other = replace(workcell, tool=tool)
+            if not prepare(plan, other, joint, _told_of(tool, progress)).order.stuck:
                 return f"with `tool={tool}` there is an order in which the arm does every step"
         tried.append(tool)
     return f"no other tool of the arm does: {', '.join(tried)}" if tried else ""
+
+
+def _told_of(tool: str, progress: Progress) -> Progress:
+    """What is told while another tool is tried: never more than how far that has come."""
+    return lambda text: progress(Detail(f"trying the tool {tool}: {text}"))
 
 
 def setup_of(job: Job, workcell: Workcell, structure: Structure | None = None) -> Setup:

@@ -97,6 +97,7 @@ def build_in_turn(
     started = time.perf_counter()
     if workcell.log is not None and workcell.log.exists():
         raise InputError("log", str(workcell.log), "no build to go on from: steps hold a block")
+    progress("starting the simulation")
     crew, ways = gather_in_turn(plan, members, workcell, joint), ways_of(plan, members)
     both = InTurn(crew, opened or simulated, plan.steps, ways)
     return built_by(both, plan, progress, started)

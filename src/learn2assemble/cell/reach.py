@@ -29,7 +29,7 @@ from learn2assemble.cell.pieces import (
     with_rests,
 )
 from learn2assemble.cell.site import Site, Source, given_sources, outline, rests_of
-from learn2assemble.cell.workcell import Job, StepOf
+from learn2assemble.cell.workcell import Job, Progress, StepOf
 from learn2assemble.cell.world import (
     LOOSE,
     RETURNED,
@@ -41,6 +41,7 @@ from learn2assemble.cell.world import (
 )
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.progress import Detail, counted, silent
 from learn2assemble.robot.approach import ApproachCache
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.bodies import Shape
@@ -340,13 +341,14 @@ def why_not_turned(arm: Arm, piece: Piece) -> str | None:
     return f"a block of {size} mm has no face for the cup both as it waits and as it shall stand"
 
 
-def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
+def set_up(job: Job, name: str, tool: str, site: Site, progress: Progress = silent) -> Job:
     """The job with an arm at a base that reaches all of it, and with sources for all blocks.
 
     Args:
         job: its arm and sources are replaced.
         name, tool: of the arm.
         site: what the user has said.
+        progress: told of the bases and of the kinds of blocks for which a place is looked for.
 
     Raises:
         InputError: for what the tool cannot hold, blocks out of reach (with the base that reaches
@@ -366,9 +368,9 @@ def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
             raise _out_of_reach(name, pieces, found, suggest(name, tool, pieces))
         arm = resting(place_arm(name, tool, site.base), site.base[3], pieces)
         check_reached(arm, given, pieces, top)
-        return supplied(replace(job, arm=arm), given, site)
+        return supplied(replace(job, arm=arm), given, site, progress=progress)
     key, fault, most, second = extreme(pieces), None, None, None
-    for base in bases(pieces):
+    for base in counted(list(bases(pieces)), "bases tried for the arm", progress):
         arm = place_arm(name, tool, base)
         found = reach_from(arm, base, pieces, key)
         if most is None or len(found.out) < len(most.out):
@@ -379,13 +381,13 @@ def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
             check_reached(arm, given, pieces, top)
             here = replace(job, arm=resting(arm, base[3], pieces))
             if takes_away(here):
-                return supplied(here, given, site)
+                return supplied(here, given, site, progress=progress)
             second = second or here
         except InputError as error:
             fault = fault or error
     if second is not None:
         # The order will say what cannot be taken away.
-        return supplied(second, given, site)
+        return supplied(second, given, site, progress=progress)
     if fault is not None:
         raise fault
     best = _whole(name, tool, pieces, most)
@@ -465,6 +467,7 @@ def supplied(
     site: Site,
     others: Sequence[Any] = (),
     across: np.ndarray | None = None,
+    progress: Progress = silent,
 ) -> Job:
     """The job with magazines for what the layout gives no source for.
 
@@ -473,6 +476,7 @@ def supplied(
         across: float64[2], the base of an arm that builds, too, from the other side [m]: each has
             its magazines on its own side, and none inside what is built, where it would bend over
             the other one's way, if there is room elsewhere.
+        progress: told of the kinds of blocks that have a place.
 
     Raises:
         InputError: where there is no room.
@@ -497,7 +501,8 @@ def supplied(
     library: Any = shapely
     table = library.box(*(-np.array(site.table) / 2), *(np.array(site.table) / 2))
     made: list[Source] = []
-    for shape in missing:
+    progress(Detail("looking for places where blocks wait"))
+    for shape in counted(missing, "kinds of blocks with a place to wait", progress):
         found = (
             _magazine_places(
                 finished, cell, shape, shapely.union_all([kept, *taken]), table, side, b

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -36,12 +36,13 @@ from learn2assemble.cell.reach import (
 )
 from learn2assemble.cell.site import Site, Source, given_sources, outline
 from learn2assemble.cell.site_arms import SiteArm
-from learn2assemble.cell.workcell import Job, StepOf
+from learn2assemble.cell.workcell import Job, Progress, StepOf
 from learn2assemble.errors import InputError
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.reports import BuilderArm
 from learn2assemble.planning.sequence import Supports
+from learn2assemble.progress import silent
 from learn2assemble.robot.approach import ApproachCache
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.capsules import capsules_of, placed
@@ -190,13 +191,16 @@ def _without_props(assembly: Assembly) -> Assembly:
 # ---------------------------------------------------------------- the cell
 
 
-def set_up_team(assembly: Assembly, arms: Sequence[SiteArm], site: Site) -> list[Member]:
+def set_up_team(
+    assembly: Assembly, arms: Sequence[SiteArm], site: Site, progress: Progress = silent
+) -> list[Member]:
     """The arms of a cell at their bases, each with places to take blocks from.
 
     Args:
         assembly: what is built; its steps and props are not looked at.
         arms: who builds.
         site: what the user has said of the cell.
+        progress: told of the kinds of blocks for which a place is looked for.
 
     Raises:
         InputError: for mortar, for what a tool cannot hold, bases on one spot, blocks that no arm
@@ -242,7 +246,8 @@ def set_up_team(assembly: Assembly, arms: Sequence[SiteArm], site: Site) -> list
             given = [source for source in given if _reaches(arm, source, mine)]
         used |= {source.name for source in given}
         job = Job(mine, steps, assembly, arm, (), obstacles, assembly.friction)
-        job = supplied(replace(job, arm=resting(arm, base[3], mine)), given, site, taken, across)
+        job = replace(job, arm=resting(arm, base[3], mine))
+        job = supplied(job, given, site, taken, across, progress)
         taken += [source.area.buffer(APART) for source in job.sources if source not in given]
         members.append(Member(one.name, job))
     for n, magazine in enumerate(site.magazines):
@@ -339,7 +344,7 @@ def plan_by_team(
     *,
     posts: bool = True,
     options: dict[str, Any],
-    progress: Callable[[str], None] = lambda text: None,
+    progress: Progress = silent,
 ) -> Plan:
     """The order in which two arms build, with who does each step; nothing is carried out.
 

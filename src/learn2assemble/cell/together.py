@@ -71,6 +71,7 @@ def build_together(
         InputError: as :func:`gather`.
     """
     started = time.perf_counter()
+    progress("starting the simulation")
     crew = gather(plan, members, workcell, joint, order)
     journal = None
     if workcell.log is not None:

@@ -308,7 +308,8 @@ def team_plan(
         raise InputError("layout", "cameras", "none, for several arms")
 
     def built(assembly: Assembly, joint: float) -> Plan:
-        members = set_up_team(assembly, arms, site)
+        progress("looking where the arms stand and where blocks wait")
+        members = set_up_team(assembly, arms, site, progress)
         first = members[0].job.arm
         cell = Workcell(
             first.name,
