@@ -251,7 +251,8 @@ class RosPlant(WatchingController):
                 self.stop()
         with contextlib.suppress(self._lib.core.RosTimeoutError):
             self._ros.close(1.0)
-        self._ros.factory.stopTrying()
+        # In the thread of the connections: one may just be tried again.
+        self._ros.factory.manager.call_later(0, self._ros.factory.stopTrying)
 
 
 class _Result:
