@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import io
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -142,6 +143,23 @@ def test_help_shows_an_example(l2a: Call, command: str | None) -> None:
     else:
         assert f"example: {program_of(command).name} {command}" in text
         assert "--json" in text
+
+
+def test_the_help_of_build_fits_a_page_and_the_documents_say_more(
+    l2a: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = l2a("build", "--help").out.splitlines()
+    assert len(lines) <= 55
+    assert max(map(len, lines)) <= 80
+    assert lines[0].endswith("(--out DIR | --preview PNG) DESIGN [options]")
+    options = {word for line in lines for word in re.findall(r"(?<!\w)--[a-z-]+", line)} - {
+        "--help"
+    }
+    page = (ROOT / "docs" / "commands.md").read_text("utf-8")
+    table = page[page.index("## Options of l2a build") : page.index("## Tasks with an arm")]
+    assert len(options) > 30
+    assert {option for option in options if f"`{option}" not in table} == set()
 
 
 @pytest.mark.parametrize("command", [*COMMANDS, *LABORATORY])

@@ -310,6 +310,23 @@ def test_a_hand_is_asked_with_the_arm_away_after_a_step_that_failed(
         assert np.linalg.norm(tool[0] - tool[1]) > 0.15
 
 
+@pytest.mark.parametrize("format", ["csv", "urscript", "ros2"])
+def test_what_is_said_of_a_program_fits_a_terminal(
+    format: str,
+    folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """80 columns; only the names of files may stick out."""
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["export", str(folder), "--format", format, "--out", str(tmp_path)]) == 0
+    if format == "csv":
+        assert main(["replay-trajectory", str(tmp_path / "program.csv"), "--arm", "ur5e"]) == 0
+    told = capsys.readouterr().out.splitlines()
+    assert [line for line in told if len(line) > 80 and str(tmp_path) not in line] == []
+
+
 # ---------------------------------------------------------------- what things are called
 
 
@@ -458,7 +475,7 @@ def test_the_command(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     assert main([*call, "--speed", "50%", "--refill", "feeder"]) == 0
     said = capsys.readouterr()
     assert "blocks are taken from" in said.out + said.err
-    assert "comments at the beginning of" in said.out + said.err
+    assert "to be: comments at the beginning\n" in said.out + said.err
     top = UrScript(file.read_text()).top
     assert (top["l2a_factor"], top["l2a_refill_by_hand"]) == ("0.5", "False")
     assert main([*call, "--overwrite", "--json"]) == 0

@@ -292,6 +292,30 @@ def test_a_summary_fits_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(capsys.readouterr().out.splitlines()) == len(short) + 5
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["build", GATE, "--arm", "ur5e", "--no-video", "--physics", "kinematic", "--out", "{d}/b"],
+        ["build", GATE, "--preview", "{d}/p.png"],
+        ["reach", GATE, "--arm", "ur5e", "--out", "{d}/r"],
+        ["reach", GATE, "--arm", "panda", "--arm", "ur5e"],
+        ["check", ROOT / "examples" / "structures" / "arch.obj", "--unit", "mm"],
+    ],
+)
+def test_what_commands_say_fits_a_terminal(
+    words: list[Any],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """80 columns; only the names of files may stick out."""
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main([str(word).replace("{d}", str(tmp_path)) for word in words]) in (0, 1)
+    told = capsys.readouterr().out.splitlines()
+    assert told
+    assert [line for line in told if len(line) > 80 and str(tmp_path) not in line] == []
+
+
 def test_cells_larger_than_a_drawing_are_refused() -> None:
     """50, where 50mm was meant."""
     with pytest.raises(l2a.InputError, match="no cell of 50 x 50 x 50 m is half full"):

@@ -36,7 +36,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.export.robot_programs import export_program
 from learn2assemble.motion.record import find_fault
 from learn2assemble.motion.setup import Disturbance
-from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.plan import LARGEST, Plan
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.planning.tiling.ordering import polycube
 from learn2assemble.robot.bodies import Part
@@ -234,7 +234,8 @@ def test_in_another_order_every_step_is_proven_anew(window: Plan, done: Plan) ->
     assert planners is not None
     assert worth is not None
     assert planners <= worth <= 1.1 * planners
-    assert plan.friction_range == (friction, friction)
+    # Loads pass down level joints without friction, as in the order of the planner.
+    assert plan.friction_range == (0.0, LARGEST)
     assert plan.gap_range == (KIT.joint_gap, KIT.joint_gap)
 
 

@@ -21,11 +21,12 @@ from learn2assemble.cell.world import STANDING
 from learn2assemble.geometry.hulls import separation
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.record import BuildRecord
-from learn2assemble.planning.plan import Plan, Step
+from learn2assemble.planning.plan import LARGEST, Plan, Step
 from learn2assemble.planning.reports import ArmFailure, ArmReport
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Shape, Solid, solids
 from learn2assemble.robot.moves import Outcome
+from learn2assemble.statics.proofs import LOCAL, PROGRAM
 from learn2assemble.values import rounded
 
 EXACT = 1e-6
@@ -293,12 +294,15 @@ def carried_out(
     assembly = replace(plan.assembly, steps=tuple(made), not_built=()).as_far_as_placed()
     ranges: dict[str, Any] = {}
     if not same:
-        # The ranges of the planner hold for its states; these were proven for one of each.
+        # The ranges of the planner hold for its states; these were proven for one friction and one
+        # joint, but for loads that level joints pass down without friction, as the planner says it.
         whole = all(step.margin_g is not None for step in steps)
+        free = all(step.proof in (LOCAL, PROGRAM) for step in steps)
         ranges = {
-            name: (value, value) if whole else None
-            for name, value in (("friction_range", job.friction), ("gap_range", job.joint))
+            "friction_range": (0.0, LARGEST) if free else (job.friction, job.friction),
+            "gap_range": (job.joint, job.joint),
         }
+        ranges = ranges if whole else dict.fromkeys(ranges)
     taken_by = [
         last[StepOf(k)][1] if StepOf(k) in last else arms[0] for k in range(len(job.pieces))
     ]

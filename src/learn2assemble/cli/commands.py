@@ -7,7 +7,7 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from learn2assemble.cli.learning import AGENT_HELP
+from learn2assemble.cli.exports import COMMANDS as EXPORTS
 from learn2assemble.cli.learning import COMMANDS as LEARNING
 from learn2assemble.cli.parser import (
     Command,
@@ -18,6 +18,7 @@ from learn2assemble.cli.parser import (
     either,
     friction,
     group,
+    kit_argument,
     length,
     named,
     natural,
@@ -50,7 +51,7 @@ _FAILURES = 3
 
 def register_command(commands: Registry[Command]) -> None:
     """Add the commands of the product."""
-    for name, made in {**_COMMANDS, **RUNNING, **LEARNING, **STRUCTURES}.items():
+    for name, made in {**_COMMANDS, **RUNNING, **LEARNING, **STRUCTURES, **EXPORTS}.items():
         commands.register(name, made)
 
 
@@ -65,55 +66,42 @@ STATE = "build.jsonl"
 @command(
     _COMMANDS,
     "build",
-    "plan a design, prove every step, write the report",
-    "l2a build examples/designs/gabled_house.json --arm panda --out out/house",
+    "plan a design, prove every step, write the report (docs/commands.md)",
+    "l2a build examples/designs/gate.svg --arm panda --out out/gate",
     arg("design", metavar="DESIGN", help="a drawing, picture, mesh, voxels, blocks, or a task"),
-    arg(
-        "--from",
-        dest="old",
-        type=named,
-        default=None,
-        metavar="OLD",
-        help="turn this structure, a plan or a file of dry blocks, into the design with its own "
-        "blocks (docs/building.md)",
-    ),
     either(
-        arg("--out", type=named, help="new or empty folder"),
-        arg(
-            "--preview",
-            type=named,
-            metavar="PNG",
-            help="only draw what was read and the cells that were chosen, and stop; a new file",
-        ),
+        arg("--out", type=named, metavar="DIR", help="new or empty folder"),
+        arg("--preview", type=named, metavar="PNG", help="only draw the cells that were chosen"),
     ),
-    arg(
-        "--overwrite",
-        action="store_true",
-        help="replace the file of --preview; what the command reads is never replaced",
-    ),
-    arg("--planner", default=None, help="of a design: exact (the default) or agent"),
+    arg("--overwrite", action="store_true", help="replace the file of --preview"),
+    kit_argument,
+    arg("--arm", action="append", help=f"an arm builds it: {' or '.join(ARMS)}; twice: two"),
+    arg("--resume", action="store_true", help="go on with the interrupted build in --out"),
+    arg("--seconds", type=positive, metavar="S", help="limit of planning (60), of a task (20)"),
+    group("how a file is read (docs/design_files.md)", reading_arguments),
     group(
-        "a design and its blocks (docs/building.md)",
-        reading_arguments,
+        "what is chosen and proven (docs/building.md)",
+        arg("--from", dest="old", type=named, metavar="OLD", help="turn this structure into it"),
+        arg("--planner", help="of a design: exact (the default) or agent"),
+        arg("--agent", help="a builder of designs; of a task, an agent or its run"),
+        arg("--seed", type=natural, default=0, metavar="N", help="of the search, of a task"),
         arg(
             "--friction",
             type=span_of(friction),
-            default=None,
             metavar="MU[:MU]",
-            help="prove every step for this coefficient or range (the kit's)",
+            help="coefficient or range to prove for (the kit's)",
         ),
         arg(
             "--gap",
             type=span_of(length),
-            default=None,
             metavar="W[:W]",
-            help="width of vertical joints or range of it, e.g. 0:0.5mm (the kit's)",
+            help="vertical joints or range, as 0:0.5mm (the kit's)",
         ),
         arg(
             "--supports",
             default="auto",
-            help="what may carry blocks for a while: auto, none, props (of the kit) or posts "
-            "(under given blocks)",
+            metavar="WHAT",
+            help="auto, none, props (of the kit) or posts (cut)",
         ),
         arg(
             "--no-props",
@@ -122,75 +110,37 @@ STATE = "build.jsonl"
             const="none",
             help="the same as --supports none",
         ),
+        arg("--holds", type=count, default=0, metavar="K", help="given blocks held by hand (0)"),
+    ),
+    group(
+        "bricks that clutch (docs/bricks.md)",
+        arg("--shell", type=count, metavar="N", help="hollow, with walls N cells thick"),
+        arg("--plates", action="store_true", help="cells as high as a plate, filled with both"),
+        arg("--hands", action="store_true", help="also from below, and several built beside"),
+    ),
+    group(
+        "how the arm builds (docs/arms.md)",
+        arg("--tool", help="suction (default), suction-side, suction-wide, gripper"),
+        arg("--layout", type=named, metavar="FILE", help="where blocks wait (docs/layouts.md)"),
         arg(
-            "--shell",
-            type=count,
-            default=None,
-            metavar="N",
-            help="of a design of bricks that clutch: hollow, with walls N cells thick",
+            "--physics",
+            default="dynamic",
+            metavar="CELL",
+            help="dynamic (default) or kinematic: nothing is simulated",
         ),
         arg(
-            "--plates",
-            action="store_true",
-            help="of a kit of bricks that clutch: cells as high as a plate, filled with both",
+            "--sense-noise",
+            type=noise,
+            default=(0.0, 0.0),
+            metavar="MM",
+            help="MM[:DEG], deviations of what is read of blocks",
         ),
         arg(
-            "--hands",
-            action="store_true",
-            help="of bricks that clutch: from below, too, and several as one, built beside",
+            "--video",
+            action=argparse.BooleanOptionalAction,
+            default=True,
+            help="build.mp4 (needs the extra video)",
         ),
-        arg(
-            "--holds",
-            type=count,
-            default=0,
-            metavar="K",
-            help="of given blocks, how many a hand may hold while the next one comes (0)",
-        ),
-    ),
-    arg(
-        "--arm",
-        action="append",
-        default=None,
-        help=f"an arm builds it: {' or '.join(ARMS)}; given twice, two arms build it together",
-    ),
-    arg(
-        "--layout",
-        type=named,
-        default=None,
-        metavar="FILE",
-        help="where the blocks wait for the arm (docs/layouts.md); by default around the site",
-    ),
-    arg(
-        "--video",
-        action=argparse.BooleanOptionalAction,
-        default=True,
-        help="of the arm, build.mp4 (needs the extra video)",
-    ),
-    arg(
-        "--tool",
-        default=None,
-        help="of the arm: suction (default), suction-side, suction-wide or gripper",
-    ),
-    arg(
-        "--physics",
-        default="dynamic",
-        help="cell in which the arm carries out an exact plan: dynamic or kinematic",
-    ),
-    arg(
-        "--sense-noise",
-        type=noise,
-        default=(0.0, 0.0),
-        metavar="MM[:DEG]",
-        help="standard deviations of readings: along each axis, about each axis",
-    ),
-    arg("--resume", action="store_true", help="go on with the interrupted build in --out"),
-    arg("--seed", type=natural, default=0, help="of the search and of a task's problem"),
-    arg("--agent", default=None, help=f"of a design, a builder; of a task, a {AGENT_HELP}"),
-    arg(
-        "--seconds",
-        type=positive,
-        default=None,
-        help="limit of planning and proof (60), or of the widest search of a task (20)",
     ),
 )
 def _build(options: argparse.Namespace, output: Output) -> int:
@@ -280,7 +230,7 @@ def _preview(options: argparse.Namespace, output: Output) -> int:
     shape, cells = list(found.wanted.shape), int(found.wanted.sum())
     output.say(f"{found.name}: {' × '.join(map(str, shape))} cells, {cells} to fill")
     if found.note:
-        output.say(found.note)
+        output.paragraph(found.note)
     output.say(f"preview: {options.preview}")
     output.finish(
         {
@@ -375,55 +325,53 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
     if helped := _hands_of(plan):
         output.say(f"hands: {', '.join(helped)}")
     for stage in plan.search.attempts if plan.search else ():
-        output.say(f"{stage.stage}: {stage.result}")
+        output.paragraph(f"{stage.stage}: {stage.result}")
     if plan.design.note:
-        output.say(plan.design.note)
+        output.paragraph(plan.design.note)
     if plan.cells:
         cells, design = plan.cells, plan.design
         other = cells.other_colour
         shape = "" if design.iou is None else f"; {design.iou:.0%} of drawing and cells are common"
         planned = "cells, as planned" if plan.not_placed else "cells"
-        output.say(
+        output.paragraph(
             f"{planned}: {cells.wanted} wanted, {cells.missing} open, "
             f"{cells.outside} outside{shape}"
         )
         if other is not None:
             output.say(f"cells in a block of another colour: {other}")
         if design.not_read:
-            output.say(f"warning: {design.source}: {design.not_read}")
+            output.paragraph(f"warning: {design.source}: {design.not_read}")
     elif plan.design.targets:
         needed = f"{plan.design.success_threshold:.1%}"
         output.say(f"coverage {plan.coverage:.1%} of the target, more than {needed} is needed")
     if (made := plan.rebuilt) is not None:
-        output.say(
-            f"{made.moves} moves (no order without help has fewer than {made.moves_bound}): "
-            f"{made.kept} blocks stay, {made.taken} are taken away, {made.placed} placed"
-        )
+        output.say(f"{made.moves} moves (no order without help has fewer than {made.moves_bound})")
+        output.say(f"{made.kept} blocks stay, {made.taken} are taken away, {made.placed} placed")
     if plan.steps and plan.margin_g is not None:
         left = plan.without_margin
-        more = f" ({left} of {len(plan.steps)} steps without a computed margin)" * bool(left)
-        output.say(
-            f"every step is proven; the weakest withstands {plan.margin_g:.3f} g sideways{more}"
-        )
+        output.say(f"every step is proven; the weakest withstands {plan.margin_g:.3f} g sideways")
+        if left:
+            output.say(f"{left} of {len(plan.steps)} steps are without a computed margin")
     proven = plan.proven_for
     if "friction" in proven and "joints" in proven:
-        output.say(
+        output.paragraph(
             f"proven for friction {proven['friction']} and vertical joints of {proven['joints']}"
         )
     if plan.arm is not None:
         _print_arm(output, plan.arm, plan.arm.name)
     for arm in plan.arms:
         steps = sum(step.arm == arm.name for step in plan.steps)
-        output.say(f"arm {arm.name}: {steps} of {len(plan.steps)} steps, reaches {arm.reaches}")
+        told = f"arm {arm.name}: {steps} of {len(plan.steps)} steps, reaches {arm.reaches}"
+        output.paragraph(told)
         if arm.did is not None:
             _print_arm(output, arm.did, arm.name)
     if plan.robot_s is not None:
         output.say(f"{plan.robot_s:.0f} s of both arms until the last block")
     blocks = plan.assembly.blocks if plan.assembly else ()
     if by_hand := [f"{s.step} ({s.action} {blocks[s.block].id})" for s in plan.steps if s.by_hand]:
-        output.say(f"by hand, while the arm waits: steps {', '.join(by_hand)}")
+        output.paragraph(f"by hand, while the arm waits: steps {', '.join(by_hand)}")
     if waits := [f"{s.step} ({s.wait_h:g} h)" for s in plan.steps if s.wait_h is not None]:
-        output.say(f"wait until the mortar holds before steps {', '.join(waits)}")
+        output.paragraph(f"wait until the mortar holds before steps {', '.join(waits)}")
     if plan.reason:
         output.paragraph(f"why: {plan.reason}")
     for what, path in files.items():
@@ -438,14 +386,14 @@ def _print_arm(output: Output, arm: ArmReport, name: str) -> None:
         output.paragraph(f"attempt {failure.attempt}: {failure.outcome} ({failure.detail}){after}")
     if rest := Counter(failure.outcome for failure in arm.failures[shown:]):
         told = ", ".join(f"{count} {outcome}" for outcome, count in rest.items())
-        output.say(f"more attempts that failed: {told} (--verbose shows each)")
+        output.paragraph(f"more attempts that failed: {told} (--verbose shows each)")
     where = f" at [{', '.join(f'{v:g}' for v in arm.base[:3])}] m" if arm.base else ""
     places = f"blocks from {arm.places} place{'s'[: arm.places != 1]}" if arm.places else ""
-    output.say(f"arm {name} with {arm.tool}{where}{', ' * bool(places)}{places}")
+    output.paragraph(f"arm {name} with {arm.tool}{where}{', ' * bool(places)}{places}")
     a_step = "" if arm.attempts_per_step is None else f" ({arm.attempts_per_step:.3f} a step)"
     output.say(f"{arm.attempts} attempts{a_step}, {arm.seconds:.0f} s of robot time")
     if arm.error_mean is not None and arm.error_worst is not None:
-        output.say(
+        output.paragraph(
             f"blocks stand {1e3 * arm.error_mean:.2f} mm from their places on average, "
             f"{1e3 * arm.error_worst:.2f} mm at most"
         )

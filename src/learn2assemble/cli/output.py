@@ -20,6 +20,8 @@ from learn2assemble.progress import Detail
 QUIET = 1.5
 """So long nothing may be shown on a terminal before a line says what is going on [s]."""
 
+WIDEST = 80
+"""Columns that a paragraph takes at most on a terminal."""
 SELDOM = 10.0
 """How far a phase has come is written to a file or a pipe after so long [s]."""
 
@@ -117,9 +119,10 @@ class Output:
         self.console.print(as_options(text), markup=False)
 
     def paragraph(self, text: str) -> None:
-        """Words for people that may be longer than a line of the terminal."""
+        """Words for people that may be longer than a line: on a terminal never beyond
+        :data:`WIDEST`."""
         told = as_options(text)
-        width = max(self.console.width, 20)
+        width = min(max(self.console.width, 20), WIDEST)
         if self.console.is_terminal:
             told = textwrap.fill(
                 told,

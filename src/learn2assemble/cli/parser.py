@@ -100,6 +100,8 @@ def asked(
 
 COMMAND = "COMMAND"
 """What help and messages call the first word."""
+MOST_IN_USAGE = 15
+"""Where a command has more options than this, its usage names those alone that are needed."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -119,6 +121,7 @@ class _Parser(argparse.ArgumentParser):
         if self.fill is not None:
             fill, self.fill = self.fill, None
             fill(self)
+            self.usage = self._usage_of_the_needed()
             # Here, where the options of the command are known; the parser above knows none.
             read, unknown = super().parse_known_args(args, namespace)
             if unknown:
@@ -127,6 +130,20 @@ class _Parser(argparse.ArgumentParser):
                 self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
             return read, unknown
         return super().parse_known_args(args, namespace)
+
+    def _usage_of_the_needed(self) -> str | None:
+        """The usage with what is needed alone, where there are more than :data:`MOST_IN_USAGE`
+        options; None: with all of them."""
+        required = [group for group in self._mutually_exclusive_groups if group.required]
+        needed = {action for group in required for action in group._group_actions}
+        needed |= {a for a in self._actions if a.required or not a.option_strings}
+        if len(self._actions) - len(needed) <= MOST_IN_USAGE:
+            return None
+        formatter = self._get_formatter()
+        actions = [action for action in self._actions if action in needed]
+        formatter.add_usage(None, actions, required)
+        words = formatter.format_help().split()[1:]
+        return f"{' '.join(words).replace('%', '%%')} [options]"
 
     def error(self, message: str) -> NoReturn:
         text = " ".join(message.split())
@@ -245,18 +262,23 @@ def noise(text: str) -> tuple[float, float]:
     return parse(place) / 1e3, math.radians(parse(turn)) if turn else 0.0
 
 
+def kit_argument(parser: Any) -> None:
+    """Add ``--kit``, the blocks of a design."""
+    parser.add_argument("--kit", default=None, help="name or .toml file (the design's own)")
+
+
 def reading_arguments(parser: Any) -> None:
-    """Add the options of a design and its blocks."""
+    """Add the options that say how a design is read."""
     add = parser.add_argument
-    add("--kit", default=None, help="name or .toml file (the design's own)")
     add("--unit", default=None, help="of the file where it does not say: mm, cm, m or in")
-    add("--cell", type=extent, default=None, help="edge of a cell, and so of blocks")
-    add("--size", type=extent, default=None, help="largest side, instead of a unit")
-    add("--up", default=None, help="the axis that points up: y or z")
-    add("--depth", type=extent, default=None, help="of the wall of a drawing")
-    add("--cells-wide", type=count, default=None, help="of a drawing, picture or mesh")
+    add("--cell", type=extent, default=None, metavar="L", help="edge of a cell, and so of blocks")
+    add("--size", type=extent, default=None, metavar="L", help="largest side, instead of a unit")
+    add("--up", default=None, metavar="AXIS", help="the axis that points up: y or z")
+    add("--depth", type=extent, default=None, metavar="L", help="of the wall of a drawing")
+    words = "of a drawing, picture or mesh"
+    add("--cells-wide", type=count, default=None, metavar="N", help=words)
     add("--repair", action="store_true", default=None, help="close small holes of a mesh")
-    words = "every object of a mesh is a block where it stands, not part of a shape"
+    words = "objects of a mesh are blocks where they stand"
     add("--blocks", action="store_true", default=None, help=words)
 
 
@@ -341,12 +363,12 @@ def make_parser(words: Sequence[str] = (), program: CommandLine = L2A) -> argpar
         added.add_argument(
             "--json",
             action="store_true",
-            help="end standard output with one JSON object; all else goes to standard error",
+            help="end with one JSON object, all else on standard error",
         )
         added.add_argument(
             "--verbose",
             action="store_true",
-            help="a line for everything that is tried, as every attempt of an arm",
+            help="a line for everything that is tried",
         )
         added.set_defaults(run=command.run, learns=command.learns)
     return parser

@@ -102,14 +102,15 @@ def _run(options: argparse.Namespace, output: Output) -> int:
         "link": to_plain(ran.link._asdict()),
         "state": str(state) if state.exists() else None,
     }
-    output.say("complete" if ran.complete else f"{ran.reason}")
+    output.paragraph("complete" if ran.complete else f"{ran.reason}")
     if ran.blocks:
         link = ran.link
         output.say(
             f"{ran.blocks} blocks in {ran.seconds:.0f} s of the robot, "
-            f"{ran.seconds_a_block:.2f} s each; {link.motions} motions, "
-            f"{1e3 * link.overhead:.0f} ms longer than planned each"
+            f"{ran.seconds_a_block:.2f} s each"
         )
+        longer = f"{1e3 * link.overhead:.0f} ms longer than planned each"
+        output.say(f"{link.motions} motions, {longer}")
     if not ran.complete and state.exists():
         output.say(f"goes on with `resume=`: {state}")
     output.finish(result)

@@ -147,7 +147,8 @@ class Step:
     step: Count
     """From 1."""
     block: Count
-    """Number of the block in the assembly."""
+    """Index of the block in :attr:`Plan.assembly`, from 0; files call it by its ``id``, as
+    ``block-1``: ``plan.assembly.blocks[step.block].id``."""
     position: Point
     """Centre of the block after it has settled."""
     quaternion: Quaternion
