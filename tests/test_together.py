@@ -411,7 +411,7 @@ def test_two_arms_build_together(crew: Pair) -> None:
 def test_two_arms_build_where_readings_are_not_exact() -> None:
     """It takes time to see a block that is presented, and both want the same one."""
     noise = Noise(5e-4, np.radians(0.2), 5e-4, missing=0.02)
-    found = crew_for(design(10, 2, 3), Workcell("ur5e", noise=noise, seed=1))
+    found = crew_for(design(10, 2, 2), Workcell("ur5e", noise=noise, seed=1))
     both = Together(found, WatchedCell)
     announced = counted(both.traffic)
     assert both.run() is None
