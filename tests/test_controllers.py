@@ -326,6 +326,15 @@ def test_stop_and_close_may_be_called_at_any_time(fake: Fake, plant: Plant) -> N
     plant.close()
 
 
+def test_what_was_closed_is_asked_nothing(fakes: Fakes) -> None:
+    fake = fakes.of("ur")
+    fake.process.cell(CELL)
+    plant = fake.plant()
+    plant.close()
+    with pytest.raises(PlantError, match="lost"):
+        plant.sense()
+
+
 def test_an_arm_that_nobody_watches_stops_by_itself(fakes: Fakes) -> None:
     """What watches is the program in the controller; so it also does where we have crashed."""
     fake = fakes.of("ur")

@@ -7,6 +7,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -284,30 +285,34 @@ def test_a_hand_is_asked_with_the_arm_away_after_a_step_that_failed(
     made: tuple[Program, Arm], tmp_path: Path
 ) -> None:
     """Nothing was let go in it: the arm is empty from its beginning, and stands right over the
-    place at its end."""
+    place at its end. Nor does it matter whether the block is gripped then."""
     program, arm = made
     number = next(
         k for k, s in enumerate(program.steps) if k and s.pick is not None and s.pick.refill
     )
-    last = program.steps[number - 1]
+    last, step = program.steps[number - 1 : number + 1]
+    assert step.pick is not None
+    place = program.places[step.pick.place - 1].centre
+
+    def unloaded(begin: float, end: float) -> tuple[Any, ...]:
+        return tuple(s._replace(load=0.0) if begin <= s.time < end else s for s in program.states)
+
     begin = program.steps[number - 2].end if number > 1 else 0.0
-    unloaded = tuple(
-        s._replace(load=0.0) if begin <= s.time < last.end else s for s in program.states
-    )
-    for held, states in ((None, unloaded), (last.held, program.states)):
-        failed = last._replace(held=held, reached=False)
-        steps = (*program.steps[: number - 1], failed, *program.steps[number:])
-        path = tmp_path / f"{held is None}.script"
+    missed = step._replace(held=None, reached=False, checks=())
+    for failed, next_one, states in (
+        (last._replace(held=None, reached=False), step, unloaded(begin, last.end)),
+        (last._replace(reached=False), step, program.states),
+        (last, missed, unloaded(last.end, step.end)),
+    ):
+        steps = (*program.steps[: number - 1], failed, next_one, *program.steps[number + 1 :])
+        path = tmp_path / "failed.script"
         write_urscript(replace(program, steps=steps, states=states), arm, path)
         lines = steps_of(path.read_text())[number - 1]
         (asked,) = asked_in(lines, "l2a_wait_for_block(")
         moves = [line for line in lines[:asked] if line.startswith("movej(")]
         stood = [float(v) for v in moves[-1].split("[")[1].split("]")[0].split(",")]
-        taken = program.steps[number].held
-        assert taken is not None
-        grip = program.knots.at(np.array([taken[0]]))[0][0]
-        tool, _ = forward_many(get_chain(arm), np.array([stood, grip]))
-        assert np.linalg.norm(tool[0] - tool[1]) > 0.15
+        (tool,), _ = forward_many(get_chain(arm), np.array([stood]))
+        assert np.linalg.norm(tool - place) > 0.15
 
 
 @pytest.mark.parametrize("format", ["csv", "urscript", "ros2"])

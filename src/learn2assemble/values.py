@@ -15,6 +15,8 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, cast
 
+import numpy as np
+
 from learn2assemble.errors import InputError, UnknownNameError
 
 T = TypeVar("T")
@@ -23,6 +25,11 @@ T = TypeVar("T")
 def rounded(value: float, digits: int = 6) -> float:
     """A number as files and people get it: to so many decimals, and never a zero with a minus."""
     return round(float(value), digits) + 0.0
+
+
+def rounded_array(values: np.ndarray, digits: int = 6) -> np.ndarray:
+    """:func:`rounded` of every number of an array."""
+    return np.round(values, digits) + 0.0
 
 
 def check_keys(

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from learn2assemble.errors import InputError
-from learn2assemble.values import Range, number, sequence
+from learn2assemble.values import Range, number, rounded_array, sequence
 
 DIGITS = 9
 """Of coordinates written."""
@@ -24,7 +24,7 @@ def compact(document: dict[str, Any]) -> str:
 
 def written(points: np.ndarray) -> Any:
     """Coordinates as files have them: lists of numbers, without a minus before zero."""
-    return (np.round(points, DIGITS) + 0.0).tolist()
+    return rounded_array(points, DIGITS).tolist()
 
 
 def coordinates(rows: Any, where: str) -> np.ndarray:

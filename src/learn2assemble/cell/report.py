@@ -26,7 +26,7 @@ from learn2assemble.planning.reports import ArmFailure, ArmReport
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Shape, Solid, solids
 from learn2assemble.robot.moves import Outcome
-from learn2assemble.statics.proofs import LOCAL, PROGRAM
+from learn2assemble.statics.proofs import LEVEL
 from learn2assemble.values import rounded
 
 EXACT = 1e-6
@@ -297,7 +297,7 @@ def carried_out(
         # The ranges of the planner hold for its states; these were proven for one friction and one
         # joint, but for loads that level joints pass down without friction, as the planner says it.
         whole = all(step.margin_g is not None for step in steps)
-        free = all(step.proof in (LOCAL, PROGRAM) for step in steps)
+        free = all(step.proof in LEVEL for step in steps)
         ranges = {
             "friction_range": (0.0, LARGEST) if free else (job.friction, job.friction),
             "gap_range": (job.joint, job.joint),

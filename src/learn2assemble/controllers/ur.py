@@ -92,10 +92,13 @@ _STOPS = {
 
 
 class _Closed:
-    """In the place of a connection that was closed."""
+    """In the place of a connection that was closed: whatever it is asked for is an error."""
 
     def isConnected(self) -> bool:
         return False
+
+    def __getattr__(self, name: str) -> Any:
+        raise PlantError(Stop.LOST, "the connection was closed")
 
 
 class UrPlant(Controller):

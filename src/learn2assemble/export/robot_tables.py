@@ -37,6 +37,7 @@ from learn2assemble.motion.record import are_objects
 from learn2assemble.motion.stud_files import studs_data, studs_from
 from learn2assemble.robot.arm import Arm, Limits, get_arm
 from learn2assemble.robot.moves import STAGES
+from learn2assemble.values import rounded_array
 
 FORMAT, VERSION = "learn2assemble-robot-program", 1
 RATE = 1000
@@ -106,10 +107,10 @@ def header(program: Program, arm: Arm) -> dict[str, Any]:
 def to_json(value: Any) -> str:
     """JSON, with arrays rounded to 1e-9."""
 
-    def rounded(array: np.ndarray) -> Any:
-        return (np.round(array, 9) + 0.0).tolist()
+    def listed(array: np.ndarray) -> Any:
+        return rounded_array(array, 9).tolist()
 
-    return json.dumps(value, default=rounded)
+    return json.dumps(value, default=listed)
 
 
 class Header(NamedTuple):

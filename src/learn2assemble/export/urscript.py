@@ -74,9 +74,10 @@ def write_urscript(
     if len(arm.joints) != 6 or arm.name != "ur5e":
         raise InputError("format", f"urscript for {arm.name}", "the arm ur5e")
     text = _head(program, arm, settings or ProgramSettings(), resume_from, refill)
-    told = sorted(_told(program, arm), key=lambda one: one.time)
+    asks = list(_asks(program, arm))
+    told = sorted(_told(program, arm, asks), key=lambda one: one.time)
     halts = [time for step in program.steps for time in step.checks]
-    halts += [ask.time for ask in _asks(program, arm) if ask.time is not None]
+    halts += [ask.time for ask in asks if ask.time is not None]
     lines: list[str] = []
     for begin, end in motions(program):
         for part in _lines(program, arm, begin, end, halts):
@@ -211,9 +212,9 @@ def _simplified(q: np.ndarray, first: int, last: int) -> list[int]:
     return _simplified(q, first, middle) + _simplified(q, middle, last)
 
 
-def _told(program: Program, arm: Arm) -> Iterator[_Line]:
+def _told(program: Program, arm: Arm, asks: list[_Ask]) -> Iterator[_Line]:
     """What is done besides moving: the steps by their numbers, the tool, and checks."""
-    begin, asks = 0.0, list(_asks(program, arm))
+    begin = 0.0
     yield from (_Line(ask.time, ask.call) for ask in asks if ask.time is not None)
     for k, step in enumerate(program.steps):
         first = program.knots.at(np.array([begin]))[0][0]
@@ -287,13 +288,15 @@ def _asks(program: Program, arm: Arm) -> Iterator[_Ask]:
     begin = 0.0
     for k, step in enumerate(program.steps):
         if step.pick is not None and step.pick.refill:
-            time = None if step.held is None else _aside(program, arm, k, step.held[0])
+            hand = program.places[step.pick.place - 1].centre
+            time = _aside(program, arm, k, hand)
             yield _Ask(k, time, f"l2a_wait_for_block({_wanted(program, step)})")
         for one in program.blocks.supply:
             if begin + 1e-9 < one.time <= step.end + 1e-9 and one.poses[0, 2] < 0:
                 name = plain(program.blocks.name(one.cells[0]))
                 words = f"take {name} away, where the arm has put it down, then go on"
-                time = _aside(program, arm, k + 1, step.end if step.held is None else step.held[1])
+                (hand,) = _tool(program, arm, [step.end if step.held is None else step.held[1]])
+                time = _aside(program, arm, k + 1, hand)
                 yield _Ask(k + 1, time, f'l2a_wait_until_taken("{name}", "{words}")')
         begin = step.end
 
@@ -314,15 +317,15 @@ def _wanted(program: Program, step: ProgramStep) -> str:
     return f'{place.number}, "{kind}", "{words}, then go on"'
 
 
-def _aside(program: Program, arm: Arm, after: int, there: float) -> float | None:
-    """When the arm waits while a hand is where the tool is at another time.
+def _aside(program: Program, arm: Arm, after: int, hand: np.ndarray) -> float | None:
+    """When the arm waits while somebody's hand is at a place.
 
-    In the last of the steps that are done, empty, where the tool is farthest from that place: at
-    the end of a step it is right over the next block, or over what it has just put down.
+    In the last of the steps that are done, empty, where the tool is farthest from the hand: at the
+    end of a step it is right over the next block, or over what it has just put down.
 
     Args:
         after: so many steps are done.
-        there: when the tool is at the place [s].
+        hand: float64[3] [m, world].
 
     Returns:
         float | None: [s]; None before the first step.
@@ -336,9 +339,13 @@ def _aside(program: Program, arm: Arm, after: int, there: float) -> float | None
     times = time[(time > empty + 1e-6) & (time < last.end - 1e-6)]
     if not len(times):
         return None
-    q = program.knots.at(np.append(times, there))[0]
-    tool, _ = forward_many(get_chain(arm), np.ascontiguousarray(q))
-    return float(times[norm(tool[:-1] - tool[-1], axis=1).argmax()])
+    return float(times[norm(_tool(program, arm, times) - hand, axis=1).argmax()])
+
+
+def _tool(program: Program, arm: Arm, times: Any) -> np.ndarray:
+    """float64[k, 3]: where the tool is at times [s] [m, world]."""
+    q = program.knots.at(np.asarray(times))[0]
+    return forward_many(get_chain(arm), np.ascontiguousarray(q))[0]
 
 
 def _payload(program: Program, arm: Arm, time: float, load: float) -> str:

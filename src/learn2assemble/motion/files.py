@@ -22,7 +22,7 @@ from learn2assemble.geometry.hulls import Hull, hull_of
 from learn2assemble.motion.record import ArmFacts, BuildRecord, ByHand, Samples, Stage, StepRecord
 from learn2assemble.motion.stud_files import studs_data, studs_from
 from learn2assemble.robot.moves import STAGES, Outcome
-from learn2assemble.values import integer
+from learn2assemble.values import integer, rounded_array
 
 FORMAT, VERSION = "learn2assemble-trajectory", 5
 UNITS = (
@@ -200,11 +200,6 @@ def _step_from(item: Mapping[str, Any], where: str, n: int, cells: int) -> StepR
     )
 
 
-def rounded(values: np.ndarray) -> np.ndarray:
-    """To six decimals."""
-    return np.round(values, DECIMALS) + 0.0  # no minus zero
-
-
 def _plain(value: Any) -> Any:
     """Dataclasses, tuples, outcomes and rounded numbers as JSON values."""
     if isinstance(value, Outcome):
@@ -224,7 +219,7 @@ def _plain(value: Any) -> Any:
     array = np.asarray(value, float)
     if not np.isfinite(array).all():
         raise InputError("trajectory", array.tolist(), "finite numbers")
-    return rounded(array).tolist()
+    return rounded_array(array, DECIMALS).tolist()
 
 
 def _number(what: str, value: Any) -> float:
@@ -287,7 +282,9 @@ def write_csv(record: BuildRecord, path: Path) -> None:
         samples = step.samples
         tool = samples.command if record.arm.suction else samples.width
         numbers = np.column_stack([samples.time, samples.joints, samples.velocity, tool])
-        for time, row in zip(samples.time.tolist(), rounded(numbers).tolist(), strict=True):
+        for time, row in zip(
+            samples.time.tolist(), rounded_array(numbers, DECIMALS).tolist(), strict=True
+        ):
             cells = (f"{value:.{DECIMALS}f}" for value in row)
             writer.writerow([step.number, step.stage_at(time), *cells])
     write_file(path, out.getvalue(), "trajectory table")

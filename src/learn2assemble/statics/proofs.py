@@ -6,6 +6,8 @@ from learn2assemble.errors import InputError, is_number
 
 LOCAL, PROGRAM = "bed faces, local", "bed faces, program"
 """Loads are passed down level joints without friction, block by block or by a linear program."""
+LEVEL = LOCAL, PROGRAM
+"""Proofs of a step that hold whatever the friction is."""
 FRICTIONLESS, BED, TIGHT = "bed faces, no friction", "bed faces", "tight joints"
 """What may carry: bed faces without friction; joints that weight presses, with it; side faces that
 touch, too. The latter two name the proof of a step by the coupled analysis."""

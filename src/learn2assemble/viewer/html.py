@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from learn2assemble.values import rounded_array
+
 NUMBER = 'class="number"'
 """Attribute of a cell with a number."""
 
@@ -70,11 +72,11 @@ def _hash(text: str) -> str:
 def to_json(value: Any) -> str:
     """JSON that cannot end the script element it stands in; arrays are rounded to 1e-6."""
 
-    def rounded(array: np.ndarray) -> Any:
-        return (np.round(array, 6) + 0.0).tolist()
+    def listed(array: np.ndarray) -> Any:
+        return rounded_array(array).tolist()
 
     text = json.dumps(
-        value, ensure_ascii=True, allow_nan=False, separators=(",", ":"), default=rounded
+        value, ensure_ascii=True, allow_nan=False, separators=(",", ":"), default=listed
     )
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 

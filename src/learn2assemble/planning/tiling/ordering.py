@@ -34,9 +34,8 @@ from learn2assemble.statics.laws import ByLoads, ByMortar, Law, Shown
 from learn2assemble.statics.proofs import (
     BED,
     FRICTIONLESS,
-    LOCAL,
+    LEVEL,
     MORTAR,
-    PROGRAM,
     TIGHT,
     Bounds,
     value_range,
@@ -62,7 +61,7 @@ class OrderedStep:
     remove: int | None
     """Index into ``Tiling.placements``; exactly one of the two is given."""
     proof: str
-    """``LOCAL``, ``PROGRAM``, ``BED``, ``TIGHT`` or ``MORTAR``."""
+    """One of ``LEVEL``, ``BED``, ``TIGHT`` or ``MORTAR``."""
     margin_g: float | None
     """Sideways acceleration that the state at least withstands in every direction [g], where it is
     known."""
@@ -308,7 +307,7 @@ def _firm(steps: list[OrderedStep], stack: Stack, friction: float, clock: Clock)
             break
         weakest = [step.margin_g for step in steps].index(min(known))
         step = steps[weakest]
-        if step.proof not in (LOCAL, PROGRAM):
+        if step.proof not in LEVEL:
             break
         placed = np.zeros(len(stack), bool)
         for done in steps[: weakest + 1]:

@@ -103,6 +103,7 @@ class WayTable:
 
 @lru_cache(maxsize=64)
 def ways_of(kit: Kit) -> WayTable:
+    """The table of a kit, made once."""
     return WayTable(kit)
 
 
