@@ -74,9 +74,21 @@ def test_brick_text_has_real_sizes_and_masses(tmp_path: Path) -> None:
     assert boxes(large)[0] == pytest.approx(np.array([[0, 0, 0], [0.032, 0.064, 0.0192]]))
 
 
-def test_stablelego_in_both_forms_is_the_same_model() -> None:
+STICK = [
+    *((0, 0, 4), (6, 1, 5), (8, 2, 5), (10, 3, 4), (16, 2, 4)),
+    *((22, 3, 6), (26, 2, 6), (30, 3, 6), (34, 2, 6), (38, 3, 6)),
+    *((42, 2, 6), (44, 3, 5), (44, 4, 5), (44, 5, 5), (8, 0, 9)),
+]
+"""x, z and kind of the bricks of one of StableLego's designs; all have y 21 and are turned."""
+
+
+def test_stablelego_in_both_forms_is_the_same_model(tmp_path: Path) -> None:
     ours = brick_data.design("stick_heavy_good")
-    theirs = read_assembly(brick_data.DATA / "stablelego_stick.json")
+    rows = {
+        str(k): {"y": 21, "x": x, "z": z, "ori": 1, "brick_id": kind}
+        for k, (x, z, kind) in enumerate(STICK, 1)
+    }
+    theirs = read_assembly(write(tmp_path, "stick.json", json.dumps(rows)))
     assert len(ours.blocks) == len(theirs.blocks) == 15
     assert boxes(ours) == pytest.approx(boxes(theirs))
     assert [b.mass for b in ours.blocks] == pytest.approx([b.mass for b in theirs.blocks])

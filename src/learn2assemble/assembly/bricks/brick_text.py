@@ -43,8 +43,3 @@ def parse_brick_text(text: str, source: str, layers: int, name: str = "") -> Bri
         if len(bricks) > MAX_BLOCKS:
             raise InputError(source, "more bricks", f"at most {MAX_BLOCKS}")
     return BrickModel(tuple(bricks), name=name)
-
-
-def brick_text(bricks: list[tuple[tuple[int, int, int], tuple[int, int, int]]]) -> str:
-    """The text of bricks given by corner and size in studs and bricks."""
-    return "".join(f"{a}x{b} ({x},{y},{z})\n" for (x, y, z), (a, b, _) in bricks)
