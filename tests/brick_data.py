@@ -1,8 +1,9 @@
 """Models of bricks for tests.
 
 ``data/clutch_designs.jsonl.gz`` holds eight designs of StableLego with their verdicts, five samples
-of StableText2Brick and six tasks of APEX-MR. All are published under the MIT licence: StableLego (Liu et al., RA-L 2024),
-BrickGPT and StableText2Brick (Pun et al., ICCV 2025), APEX-MR (Huang et al., RSS 2025).
+of StableText2Brick and six tasks of APEX-MR. All are published under the MIT licence: StableLego
+(Liu et al., RA-L 2024), BrickGPT and StableText2Brick (Pun et al., ICCV 2025), APEX-MR (Huang et
+al., RSS 2025).
 
 Bricks before cameras, for the tests of what is seen.
 """
