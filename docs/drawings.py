@@ -53,7 +53,7 @@ def _panel(width: float = 8.0, height: float = 2.6) -> tuple[Figure, Axes]:
 def _chart(width: float = 8.0, height: float = 3.0, count: int = 1) -> tuple[Figure, Axes]:
     """A drawing with axes, one below the other where there are several; the first of them."""
     figure = Figure(figsize=(width, height), layout="constrained")
-    for axes in figure.subplots(count, 1, squeeze=False, height_ratios=(2, 1)[:count]).flat:
+    for axes in figure.subplots(count, 1, squeeze=False, height_ratios=(2, 1, 1)[:count]).flat:
         axes.spines[["top", "right"]].set_visible(False)
         axes.spines[["left", "bottom"]].set_color(LINE)
         axes.tick_params(colors=SOFT)
@@ -278,9 +278,10 @@ def board() -> Figure:
 
 def scores() -> Figure:
     """The board as bars, and how the baselines that train on the spot learn."""
-    figure, axes = _chart(9, 8.2, 2)
+    figure, axes = _chart(9, 11, 3)
     _bars(axes)
     _curves(figure.axes[1])
+    _builders(figure.axes[2])
     return figure
 
 
@@ -311,6 +312,21 @@ def _curves(axes: Axes) -> None:
             axes.plot(*np.transpose(told), color=tone, lw=0.9, alpha=0.7, **name)
     axes.set_xlabel("steps of training, MaskablePPO, five seeds", color=SOFT)
     axes.set_ylabel("return, not discounted", color=SOFT)
+    axes.legend(frameon=False, labelcolor=INK, fontsize=8)
+
+
+def _builders(axes: Axes) -> None:
+    """How often the likeliest candidate of the builders is right while they train, by seed."""
+    with (ROOT / "agents" / "builders" / "curves.csv").open(encoding="utf-8") as stream:
+        lines = list(csv.DictReader(stream))
+    for name in sorted({one["builder"] for one in lines}):
+        own = "search" in name
+        told = [(float(r["seconds"]), float(r["right"])) for r in lines if r["builder"] == name]
+        words = "of its own search" if own else "of the exact planner"
+        label = {"label": f"with solutions {words}"} if name.endswith("-s1") else {}
+        axes.plot(*np.transpose(told), color=WARM if own else ACCENT, lw=0.9, alpha=0.8, **label)
+    axes.set_xlabel("seconds of the processor, builder of designs, five seeds", color=SOFT)
+    axes.set_ylabel("share of right choices", color=SOFT)
     axes.legend(frameon=False, labelcolor=INK, fontsize=8)
 
 

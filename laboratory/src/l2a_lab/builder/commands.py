@@ -16,7 +16,7 @@ from learn2assemble.cli.parser import (
     positive,
 )
 from learn2assemble.errors import InputError
-from learn2assemble.files import check_exists, claim_folder, read_json
+from learn2assemble.files import check_exists, claim_folder, read_json, write_file
 from learn2assemble.values import mapping
 
 if TYPE_CHECKING:
@@ -47,13 +47,19 @@ def _train(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.tasks.learning.run import provenance
 
     config = BuilderConfig(options.name, options.teacher, options.seed, seconds=options.seconds)
+    curve = list[str]()
+
+    def report(told: dict[str, float]) -> None:
+        output.progress(", ".join(f"{k} {v:.4g}" for k, v in told.items()))
+        if not curve:
+            curve.append(",".join(("builder", *told)))
+        curve.append(",".join((config.name, *(f"{value:.6g}" for value in told.values()))))
+
     with claim_folder(options.out):
-        builder = train(
-            config,
-            lambda told: output.progress(", ".join(f"{k} {v:.4g}" for k, v in told.items())),
-        )
+        builder = train(config, report)
         builder.origin.update(provenance("cpu"))
         weights = save_builder(builder, options.out)
+        write_file(options.out / "curve.csv", "\n".join([*curve, ""]), "--out")
     output.say(f"{builder.origin['states']} states, {builder.origin['designs']} designs: {weights}")
     output.finish({"agent": str(weights), **builder.origin})
 
@@ -80,7 +86,6 @@ def _measure(options: argparse.Namespace, output: Output) -> None:
 
     from l2a_lab.builder.measure import PLAYERS, Measure, measure
     from l2a_lab.builder.network import load_builder
-    from learn2assemble.files import write_file
     from learn2assemble.tasks.learning.run import provenance
 
     builder = load_builder(options.agent)
@@ -137,7 +142,6 @@ def _measure_arm(options: argparse.Namespace, output: Output) -> None:
 
     from l2a_lab.builder.measure_arm import WAYS, ArmMeasure, measure_arm
     from l2a_lab.builder.network import load_builder
-    from learn2assemble.files import write_file
     from learn2assemble.tasks.learning.run import provenance
 
     load_builder(options.agent)

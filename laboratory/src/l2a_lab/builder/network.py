@@ -19,8 +19,11 @@ from learn2assemble.tasks.design_features import NUM_FEATURES, NUM_SUMMARY
 from learn2assemble.tasks.networks.agent_file import described, read_description
 
 FORMAT = "learn2assemble-builder"
-FOLDER = Path(__file__).parents[1] / "builders"
-"""The builders that come with the laboratory."""
+FOLDERS = (
+    Path(__file__).parents[1] / "builders",
+    Path(__file__).parents[4] / "agents" / "builders",
+)
+"""The builders that come with the laboratory, and those of other seeds that a checkout has."""
 DEFAULT = "builder-s0"
 """The agent that builds where none is named."""
 MAX_LOGIT = 30.0
@@ -116,7 +119,7 @@ def save_builder(builder: Builder, folder: Path) -> Path:
 
 def builder_files() -> dict[str, Path]:
     """Name and weights of the builders that come with the package."""
-    return {file.stem: file for file in sorted(FOLDER.glob("*.safetensors"))}
+    return {file.stem: file for file in sorted(FOLDERS[0].glob("*.safetensors"))}
 
 
 def is_builder(name_or_path: str) -> bool:
@@ -128,7 +131,7 @@ def is_builder(name_or_path: str) -> bool:
 
 
 def load_builder(name_or_path: str | Path = DEFAULT) -> Builder:
-    """A builder of the package by name, or one from a ``.safetensors`` file.
+    """A builder by its name, or one from a ``.safetensors`` file.
 
     Raises:
         InputError: for files that do not exist, are damaged, or are no builder's.
@@ -138,7 +141,7 @@ def load_builder(name_or_path: str | Path = DEFAULT) -> Builder:
         from safetensors.numpy import load_file  # pyright: ignore[reportUnknownVariableType]
 
     path = _weights(name_or_path)
-    if path != Path(name_or_path):
+    if path != Path(name_or_path) and not path.is_file():
         check_name("builder of designs", str(name_or_path), builder_files())
     check_exists(path, "file of a builder of designs")
     info = read_description(path)
@@ -158,6 +161,9 @@ def load_builder(name_or_path: str | Path = DEFAULT) -> Builder:
 
 
 def _weights(name_or_path: str | Path) -> Path:
-    """The weights of a builder of the package by name, or the file that is named."""
+    """The weights of a builder by its name, or the file that is named."""
     path = Path(name_or_path)
-    return path if path.suffix == ".safetensors" else FOLDER / f"{path}.safetensors"
+    if path.suffix == ".safetensors":
+        return path
+    files = [folder / f"{path}.safetensors" for folder in FOLDERS]
+    return next((file for file in files if file.is_file()), files[0])
