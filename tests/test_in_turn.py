@@ -19,10 +19,8 @@ from learn2assemble.assembly.boxes import box_block
 from learn2assemble.cell import in_turn
 from learn2assemble.cell.crew import LIP_ROOM, ArmCrew, Member
 from learn2assemble.cell.in_turn import (
-    MOST_BACK,
     about_vertical,
     build_in_turn,
-    moved_by,
     solids_of,
 )
 from learn2assemble.cell.site import Site
@@ -38,7 +36,7 @@ from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.capsules import Capsules, capsules_of, placed, solid_capsules
 from learn2assemble.robot.grasps import Attitude
-from learn2assemble.robot.kinematics import forward, get_chain
+from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.scene import reshape
 from learn2assemble.simulation.execution import Execution
 from learn2assemble.simulation.model import TIMESTEP, compile_world
@@ -264,16 +262,6 @@ def test_an_arch_of_nine_voussoirs_needs_no_post() -> None:
         at_once += (step.action == "hold") - (step.action == "release")
         most = max(most, at_once)
     assert most == 2  # One holds on until the other one has its block in its place.
-
-
-def test_a_hand_is_moved_no_farther_than_it_may_be() -> None:
-    arm = get_arm("panda", "suction")
-    place, turn = forward(get_chain(arm), arm.home)
-    for off in (np.array([2e-4, 0.0, -3e-4]), np.array([0.0, 4e-3, 0.0])):
-        there, turned = forward(get_chain(arm), moved_by(arm, arm.home, off))
-        wanted = off * min(1.0, MOST_BACK / float(np.linalg.norm(off)))
-        assert np.abs(there - place - wanted).max() < 2e-5
-        assert np.abs(turned - turn).max() < 1e-3
 
 
 def test_a_grasp_turns_with_the_block_that_waits() -> None:

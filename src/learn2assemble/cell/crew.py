@@ -224,9 +224,9 @@ class ArmCrew:
             ways = list(moves(world, rows, block, goal, into))
             held = (one for way in ways for one in self._held(number, block, way, open_))
             for move, turn, out in product(held, (0.0, *cell.arm.turns), self._outs):
-                move = move._replace(place=move.place._replace(way=out or move.place.way))
+                move = move._replace(place=move.place._replace(way=max(out, move.place.way)))
                 hand = _lip(move), turn
-                point = *hand, out, move.place.insertion().round(3).tobytes()
+                point = *hand, move.place.way, move.place.insertion().round(3).tobytes()
                 if point in seen:
                     continue
                 one = turned(rows.scene, move, turn)

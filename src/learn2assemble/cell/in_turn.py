@@ -18,58 +18,39 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.hands import Hand
 from learn2assemble.cell.arrange import Arranged, Structure
 from learn2assemble.cell.building import Building, Prepared
 from learn2assemble.cell.crew import FINE, ArmCrew, Member, Reached
 from learn2assemble.cell.fitting import neighbours
 from learn2assemble.cell.pair import Pair, jobs_of, workcell_of
+from learn2assemble.cell.pressing import TURNS, PressingHand, pressed
 from learn2assemble.cell.reach import cells_of
 from learn2assemble.cell.state import Action
 from learn2assemble.cell.telling import route_of
 from learn2assemble.cell.together import Cell, Together, built_by, simulated
-from learn2assemble.cell.traffic import STANDS
 from learn2assemble.cell.workcell import Progress, Workcell
 from learn2assemble.cell.world import STANDING, Rows, direction_of, rows_of, supply_of
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.hulls import Hull, hull_of
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, yaw_matrix
-from learn2assemble.motion.plant import Guard, Motion, PlantError, Stop
+from learn2assemble.motion.plant import PlantError, Stop
 from learn2assemble.motion.setup import Setup
 from learn2assemble.planning.plan import Plan, Step
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.capsules import capsules_of, placed
 from learn2assemble.robot.grasps import Attitude
-from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.kinematic import KinematicCell
-from learn2assemble.robot.kinematics import forward, get_chain
+from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.moves import Move
 from learn2assemble.simulation.execution import Execution
 from learn2assemble.statics.states import State
 
 MOST = 12
 """Ways of an arm to bring a block that are tried."""
-TURN = 0.04
-"""Between two looks whether it is the turn of an arm [s]."""
-MOST_BACK = 1e-3
-"""A hand that holds a block brings it to where it shall be, which it has missed by what carries it
-has given way, by so much at most [m]: else a gap that is closed from both sides is too narrow."""
-NEAR_BY = 0.02
-"""For that no joint turns by more [rad]: the arm stays bent as it is."""
-PRESSES = 0.01
-"""It is told to be no farther from there than this [rad], whatever is in its way: no drive of our
-arms turns with more than 45 N m for that."""
-CLAMP, CLAMP_TURNS = 1e-3, 20
-"""Where tools are level, an arm that takes over holds its block as if its place were so much nearer
-to what stands beside it [m], for so many :data:`TURN` before the other arm lets go: near the top of
-an arch joints are upright, and a block that nothing presses on from both sides slides down between
-its neighbours until they do."""
-KEPT = Guard(hold="kept")
 MOVED = 5e-5
 """A block that the hand which holds it has moved farther is told to be elsewhere [m]."""
-GIVES, AT_ONCE = 0.3, STANDS
-"""Of how far the joints of an arm that holds are off, so much is taken back every time, and no more
-than this [rad]."""
 SIDES = 12
 """Of the polygons around an arm that holds."""
 ROOM = 0.012
@@ -108,6 +89,9 @@ class Brought(NamedTuple):
 
     ways: tuple[Reached, ...]
     """With the grasp that the proof counts on, where the block is held afterwards."""
+    pressed: np.ndarray = np.zeros(3)
+    """float64[3]: of all contacts on the block, while it is held, when the other arm has let go
+    [N]."""
 
 
 def ways_of(plan: Plan, members: Sequence[Member]) -> dict[int, Brought]:
@@ -130,6 +114,8 @@ def ways_of(plan: Plan, members: Sequence[Member]) -> dict[int, Brought]:
             if step.arm is not None:
                 some = crew.reached(step.block, state, step.arm, hand)
                 found[n] = Brought(tuple(islice(some, MOST)))
+                if hand is not None:
+                    found[n] = found[n]._replace(pressed=pressed_by(plan, n, state, hand))
             state = state.change(place=[step.block])
         elif step.action == "remove":
             state = state.change(remove=[step.block])
@@ -140,6 +126,25 @@ def ways_of(plan: Plan, members: Sequence[Member]) -> dict[int, Brought]:
         else:
             state = state.change(release=[step.block])
     return found
+
+
+def pressed_by(plan: Plan, number: int, state: State, hand: Hand) -> np.ndarray:
+    """float64[3]: the sum of what all contacts do to a block [N] that is held from now on, when
+    whoever holds another one has let go of that.
+
+    Args:
+        number: of the step by which the block comes.
+        state: before that.
+        hand: by which it is held.
+    """
+    assert plan.assembly is not None
+    block = plan.steps[number].block
+    then = state.change(place=[block]).change(hold=[block], hand=hand)
+    following = plan.steps[number + 2 : number + 3]
+    if following and following[0].action == "release":
+        then = then.change(release=[following[0].block])
+    found = pressed(plan.assembly, find_contacts(plan.assembly), then, block)
+    return np.zeros(3) if found is None else found
 
 
 def gather_in_turn(
@@ -325,30 +330,39 @@ class InTurn(Together[Cell]):
             self.holds[who] = k
             self.traffic.holds(who, run.joints)
             self._tell(who, {k})
-            joints = building.plant.sense().joints
-            arm, off = building.job.arm, world.drawn(k)[:3] - world.pose[k, :3]
-            if arm.works_level:
-                off = off + CLAMP * self._against(who, k)
-            there = moved_by(arm, joints, off)
-            for _ in range(CLAMP_TURNS if arm.works_level else 0):
-                self.plant.loosen()
-                keep(run, there)
+            assert isinstance(building, InTurnBuilding)
+            known = sight.in_hand(), world.drawn(k), self._against(who, k)
+            block = world.pieces[k]
+            hold = PressingHand(run, building.job.arm, *known, building.ways.pressed, block.mass)
+            self._meanwhile(hold.press)
+            taken = self.holds[1 - who] is not None
             self.now += 2
             while (self.steps[self.now].action, self.steps[self.now].block) != ("release", k):
                 if self.over is not None:
                     sight.let_go()  # It stands in its place, whoever takes it over.
-                    raise PlantError(Stop.REFUSED, f"{self.over}; it holds {world.pieces[k].id}")
+                    raise PlantError(Stop.REFUSED, f"{self.over}; it holds {block.id}")
+                if taken and self.holds[1 - who] is None:
+                    self._meanwhile(hold.press)
+                    taken = False
                 self.plant.loosen()
-                keep(run, there)
+                # The other hand lets go of what leans on this one, or brings what it is to bear.
+                (hold.press if taken else hold.stay)()
                 pose = sight.held_pose(building.plant.sense().joints)
                 if np.abs(pose[:3] - world.pose[k, :3]).max() > MOVED:
                     # The next block is put where this one is by then.
                     world.pose[k] = pose
                     self._tell(who, {k})
+            self._meanwhile(hold.ease)
             world.arm = self._other_stands(who)
             building.attempts.leave_anew(run, rows_of(world, world.pose, k))
 
         return holds
+
+    def _meanwhile(self, held: Callable[[], None]) -> None:
+        """Some turns of a hand that holds, the other arm as it is."""
+        for _ in range(TURNS):
+            self.plant.loosen()
+            held()
 
     def _against(self, who: int, k: int) -> np.ndarray:
         """float64[3]: unit vector towards what stands beside a block, as drawn; zeros without."""
@@ -357,35 +371,6 @@ class InTurn(Together[Cell]):
             if not others and world.state[near.other] == STANDING:
                 way += near.way
         return way / max(float(np.linalg.norm(way)), 1e-9)
-
-
-def moved_by(arm: Arm, joints: np.ndarray, off: np.ndarray) -> np.ndarray:
-    """float64[n] [rad]: the arm with its hand moved by float64[3] [m], no farther than
-    :data:`MOST_BACK`; where it is, where it cannot."""
-    size = float(np.linalg.norm(off))
-    place, turn = forward(get_chain(arm), joints)
-    point = place + off * min(1.0, MOST_BACK / max(size, 1e-9))
-    found = solve(arm, point, turn, joints, restarts=0)
-    near = found.ok and np.abs(found.joints - joints).max() < NEAR_BY
-    return found.joints if near else joints
-
-
-def keep(run: Execution, there: np.ndarray) -> None:
-    """Hold for a while.
-
-    Drives give way under a load like springs, and what a block leans on has given way before it
-    came. The arm is told to be as far on the other side of where it shall be, so that the hand
-    comes there.
-
-    Args:
-        run: of the arm.
-        there: float64[n], the joints with the block where it shall be [rad].
-    """
-    off = there - run.rig.plant.sense().joints
-    told = run.joints + np.clip(GIVES * off, -AT_ONCE, AT_ONCE)
-    told = np.clip(told, there - PRESSES, there + PRESSES)
-    joints = np.array([run.joints, told])
-    run.do(Motion("place", np.array([0.0, TURN]), joints, np.zeros_like(joints)), (KEPT,))
 
 
 def solids_of(arm: Arm, joints: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray, Hull], ...]:

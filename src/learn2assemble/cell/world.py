@@ -36,6 +36,8 @@ OBSTACLE_DENSITY = 20_000.0
 """Nothing moves an obstacle [kg/m³]."""
 FARTHEST_OUT, OUT_ROOM = 0.5, 0.005
 """No block is drawn out from below others farther than this, and what room it then has [m]."""
+UPRIGHT = 0.999
+"""What comes to its place along a way that is steeper (sine) comes from above."""
 PLACED = 1.5e-4
 """Standard deviation of where blocks come to stand where readings are not exact [m]."""
 STOCK, STANDING, LOOSE, LOST, RETURNED, MISSING = range(6)
@@ -318,25 +320,36 @@ def moves(
         for lift, one in itertools.product(lifts, into):
             apart = np.abs(place.insertion() - one).max() > 1e-9
             there = place._replace(into=one) if apart else place
+            if apart and -one[2] < UPRIGHT:
+                # What leans over its place is above it until it is drawn out of that.
+                corners = [goal[:3] + part.points @ way.goal.T for part in piece.shape]
+                far = way_out(rows, mine, -np.array(one), np.vstack(corners))
+                there = there._replace(way=max(far or 0.0, there.way))
             yield Move(of_part[way.hold.part], target, lift, there)
 
 
-def way_out(rows: Rows, mine: np.ndarray, way: np.ndarray) -> float | None:
+def way_out(
+    rows: Rows, mine: np.ndarray, way: np.ndarray, corners: np.ndarray | None = None
+) -> float | None:
     """How far blocks have to be drawn out until nothing is above them any more.
 
     Args:
         rows: the scene.
         mine: int64[m], its rows that are moved.
-        way: float64[3], a level unit vector.
+        way: float64[3], a unit vector.
+        corners: float64[k, 3], of where they are drawn out from [m]; by default where they are.
 
     Returns:
         [m]; None where it is farther than :data:`FARTHEST_OUT`.
     """
     low, high = rows.scene.bounds()
     others = np.setdiff1d(np.arange(len(low)), mine)
-    covered = others[high[others, 2] > high[mine, 2].max() + 1e-3]
+    lows, highs = low[mine], high[mine]
+    if corners is not None:
+        lows, highs = corners.min(0)[None], corners.max(0)[None]
+    covered = others[high[others, 2] > highs[:, 2].max() + 1e-3]
     for far in np.arange(WAY, FARTHEST_OUT, 0.01).tolist():
-        a, b = (side[mine, :2] + far * way[:2] for side in (low, high))
+        a, b = (side[:, :2] + far * way[:2] for side in (lows, highs))
         apart = np.minimum(b[:, None], high[covered, :2]) - np.maximum(a[:, None], low[covered, :2])
         if not (apart > -OUT_ROOM).all(2).any():
             return round(far, 3)

@@ -21,6 +21,9 @@ free block (friction holds it with 1 N) is none, one that lands on it is."""
 SLIDES = 0.1
 """What the target moves along rather than against: cosine of the angle between its way and the
 normal of a contact."""
+WEDGED = 0.04
+"""What opposes its way by less of its normal (2 degrees) it slides along whatever that presses: an
+upright side. By more it is a wedge, such as the last block of an arch, which rests on its sides."""
 _CLASSES = _TABLE, _ARM, _PAD, _TARGET, _OTHER = range(5)
 _SUBJECT = (4, 0, 0, 1, 3)
 """Which of two things touches the other, by class."""
@@ -135,9 +138,11 @@ class SimulatedContacts:
             if _TARGET in (a, b) and {a, b} & {_TABLE, _OTHER}:
                 share = 1.0
                 if self.along is not None:
-                    share = abs(float(self.data.contact.frame[k, :3] @ self.along))
-                if share >= SLIDES:
-                    total += share * self.force(k)
+                    # The frame's normal points from the first geom to the second.
+                    share = float(self.data.contact.frame[k, :3] @ self.along)
+                    share = share if a == _TARGET else -share
+                if abs(share) >= SLIDES or share >= WEDGED:
+                    total += abs(share) * self.force(k)
         return total
 
     def pressure(self, held: bool) -> np.ndarray:

@@ -200,6 +200,27 @@ class System:
         found, answer = self.joined.nearest(load, limit, near, BALANCED)
         return answer.forces if found else None
 
+    def centred(self, friction: float, share: float) -> np.ndarray | None:
+        """Forces float64[corners, 3] that balance everything, with which every corner of a joint
+        bears at least a share of the mean of its joint: those for which hands give least, as the
+        sum of their squares, and then of least elastic energy. None where there are none."""
+        corners, patch = self.corners, self._contacts.patch
+        cone, parts = _cones(self._contacts.friction(friction))
+        does, limited, most = hand_columns(self.held, self.count)
+        count, every = np.bincount(patch), np.arange(corners)
+        same = sp.csr_matrix((np.ones(corners), (every, patch)))
+        mean = sp.csr_matrix(same @ sp.diags(1 / np.maximum(count, 1)) @ same.T)
+        least = sp.kron(share * mean + sp.diags(-np.ones(corners)), [[1.0, 0.0, 0.0]])
+        rows = [[self.balance, does], [cone, None], [least, None], [None, limited]]
+        matrix = sp.bmat(rows if len(most) else [row[:1] for row in rows[:3]]).tocsc()
+        bound = np.concatenate([self.weight, np.zeros(4 * corners), most])
+        cones = [_conic.ZeroConeT(6 * self.count), *parts]
+        cones.append(_conic.NonnegativeConeT(corners + len(most)))
+        width = matrix.shape[1]
+        energy = np.concatenate([1e-3 * np.repeat(self._soft, 3), np.ones(width - 3 * corners)])
+        answer = _run(sp.diags(energy), np.zeros(width), matrix, bound, cones)
+        return None if answer is None else np.array(answer.x)[: 3 * corners].reshape(-1, 3)
+
     def least_holding(self, friction: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """RBE: forces [corners, 3], holding forces [count], motion [count, 6]."""
         cone, parts = _cones(self._contacts.friction(friction))
