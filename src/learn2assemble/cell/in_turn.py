@@ -245,6 +245,14 @@ class InTurn(Together[Cell]):
             building.attempts.announce = self._beginner(who)
             building.attempts.stays = self._holder(who)
 
+    def _work(self, who: int, progress: Progress) -> None:
+        try:
+            super()._work(who, progress)
+        finally:
+            if self.over is None and self.now < len(self.steps):
+                # Whatever it was: the other arm is not to wait for this one.
+                self.over = f"{self.worked[who].name} has stopped"
+
     def _attempts(self, who: int, progress: Progress) -> str | None:
         building = self.buildings[who]
         building.look()

@@ -19,11 +19,8 @@ from learn2assemble.tasks.design_features import NUM_FEATURES, NUM_SUMMARY
 from learn2assemble.tasks.networks.agent_file import described, read_description
 
 FORMAT = "learn2assemble-builder"
-FOLDERS = (
-    Path(__file__).parents[1] / "builders",
-    Path(__file__).parents[4] / "agents" / "builders",
-)
-"""The builders that come with the laboratory, and those of other seeds that a checkout has."""
+FOLDER = Path(__file__).parents[4] / "agents" / "builders"
+"""The builders of a checkout; the laboratory is in no other place."""
 DEFAULT = "builder-s0"
 """The agent that builds where none is named."""
 MAX_LOGIT = 30.0
@@ -118,8 +115,8 @@ def save_builder(builder: Builder, folder: Path) -> Path:
 
 
 def builder_files() -> dict[str, Path]:
-    """Name and weights of the builders that come with the package."""
-    return {file.stem: file for file in sorted(FOLDERS[0].glob("*.safetensors"))}
+    """Name and weights of the builders that stand for all in tables and commands: of seed 0."""
+    return {file.stem: file for file in sorted(FOLDER.glob("*-s0.safetensors"))}
 
 
 def is_builder(name_or_path: str) -> bool:
@@ -163,7 +160,4 @@ def load_builder(name_or_path: str | Path = DEFAULT) -> Builder:
 def _weights(name_or_path: str | Path) -> Path:
     """The weights of a builder by its name, or the file that is named."""
     path = Path(name_or_path)
-    if path.suffix == ".safetensors":
-        return path
-    files = [folder / f"{path}.safetensors" for folder in FOLDERS]
-    return next((file for file in files if file.is_file()), files[0])
+    return path if path.suffix == ".safetensors" else FOLDER / f"{path}.safetensors"
