@@ -68,9 +68,10 @@ and thickness [m], density where it is not the usual one [kg/m^3], ..."""
 WIDE = "suction-wide"
 """... with which tool of both: the cup of 30 mm slips under what an arch thrusts, and its blocks
 end so far from their places that the last one does not go in."""
-SWAYED, SWAY = 8, 1e-7
-"""How often the first is built, each time with a radius larger by this [m]: where the last blocks
-come to rest between their neighbours hangs on less than that, so one build alone says little."""
+SWAYED, SWAYED_LARGE, SWAY = 8, 3, 1e-7
+"""How often the first is built, and the others, each time with a radius larger by this [m]: where
+the last blocks come to rest between their neighbours hangs on less than that, so one build alone
+says little."""
 NOISY, NOISY_SHARE = 20, 0.8
 """How often it is built by what is sensed, and which share of these shall be complete."""
 MOST_OFF = 1e-3
@@ -90,7 +91,7 @@ def names() -> list[str]:
     built += [f"bricks/{what}/{who}" for what in BRICKS for who in (ARM, BOTH)]
     first, *others = HELD
     built += [f"holds/{first}/{number}" for number in range(SWAYED)]
-    built += [f"holds/{what}/0" for what in others]
+    built += [f"holds/{what}/{number}" for what in others for number in range(SWAYED_LARGE)]
     built += [f"noise/{first}/{number}" for number in range(NOISY)]
     return [*built, *(f"stopped/{STOPPED}/{number}" for number in range(STOPS))]
 
