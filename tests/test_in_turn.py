@@ -131,6 +131,22 @@ def test_without_its_hold_the_beam_falls(
     assert any("beam leans by" in one for one in failures), failures
 
 
+def test_an_arm_that_ends_by_a_fault_leaves_the_other_one_no_wait(
+    planned: tuple[Plan, list[Member]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The stone never comes, and the arm with the beam is told."""
+    act = in_turn.InTurnBuilding.act
+
+    def fails(self: Any, action: Any) -> Any:
+        if action.block == 2:
+            raise ZeroDivisionError("a fault")
+        return act(self, action)
+
+    monkeypatch.setattr(in_turn.InTurnBuilding, "act", fails)
+    with pytest.raises(ZeroDivisionError, match="a fault"):
+        built(planned)
+
+
 def test_what_is_in_a_hand_cannot_be_gone_on_with_from_a_file(
     planned: tuple[Plan, list[Member]], tmp_path: Path
 ) -> None:

@@ -13,7 +13,14 @@ import pytest
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import Contacts, find_contacts
 from learn2assemble.assembly.hands import Hand
-from learn2assemble.cell.pressing import AT_ONCE, SHARES, TURNS, PressingHand, pressed
+from learn2assemble.cell.pressing import (
+    AT_ONCE,
+    FARTHEST,
+    SHARES,
+    TURNS,
+    PressingHand,
+    contact_force,
+)
 from learn2assemble.constants import GRAVITY
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, rotation_of
 from learn2assemble.motion.plant import Guard, Motion, ToolReading
@@ -58,7 +65,7 @@ def test_the_forces_balance_every_block_and_leave_no_joint_at_an_edge(placed: in
 
 def test_what_the_held_block_feels_is_what_its_only_neighbour_does_to_it() -> None:
     arch, contacts, state = half_arch(11)
-    felt = pressed(arch, contacts, state, 10)
+    felt = contact_force(arch, contacts, state, 10)
     assert felt is not None
     # Block 9 presses it away from itself, and hangs on it: the hand bears the rest.
     apart = arch.blocks[10].centroid - arch.blocks[9].centroid
@@ -70,7 +77,7 @@ def test_where_no_hand_can_hold_it_nothing_is_said() -> None:
     arch, contacts, _ = half_arch(11)
     state = State(np.zeros(21, bool), np.zeros(21, bool)).change(place=range(11))
     weak = Hand.within((0.0, 0.0, 0.0), np.vstack([np.eye(6), -np.eye(6)]), np.full(12, 1e-3))
-    assert pressed(arch, contacts, state.change(hold=[10], hand=weak), 10) is None
+    assert contact_force(arch, contacts, state.change(hold=[10], hand=weak), 10) is None
 
 
 # ---------------------------------------------------------------- an arm on springs
@@ -137,6 +144,30 @@ def test_a_hand_presses_until_it_feels_the_force(newtons: float, wall: float) ->
     assert springs.presses == pytest.approx(newtons, rel=0.1)
 
 
+def test_where_no_force_is_felt_a_hand_stops() -> None:
+    """The block meets nothing, or nothing measures what it meets."""
+    springs = Springs(np.array([0.0, 0.0, -1.0]), wall=0.0)
+    hold = held(springs, 20.0)
+    for _ in range(10 * TURNS):
+        hold.press()
+    gone = forward(get_chain(springs.arm), springs.real)[0] - springs.start
+    assert np.linalg.norm(gone) == pytest.approx(FARTHEST, rel=0.01)
+    for _ in range(10 * TURNS):
+        hold.ease()
+    gone = forward(get_chain(springs.arm), springs.real)[0] - springs.start
+    assert np.linalg.norm(gone) < 1.01 * FARTHEST
+
+
+def test_without_a_force_it_only_keeps_its_place() -> None:
+    springs = Springs(np.array([0.0, 0.0, -1.0]))
+    hold = held(springs, 20.0)
+    kept = PressingHand(hold.run, springs.arm, hold.in_hand, hold.pose, springs.way, None, 0.4)
+    for _ in range(TURNS):
+        kept.press()
+    gone = forward(get_chain(springs.arm), springs.real)[0] - springs.start
+    assert np.abs(gone).max() < 2e-5
+
+
 def test_before_it_lets_go_it_bears_nothing() -> None:
     springs = Springs(np.array([0.0, 0.0, -1.0]))
     hold = held(springs, 20.0)
@@ -151,7 +182,7 @@ def test_a_block_that_is_off_is_brought_to_its_place_in_small_steps() -> None:
     springs = Springs(np.array([0.0, 0.0, -1.0]))
     hold = held(springs, 0.0)
     meant = rotation_of(np.array([0.0, 0.0, 0.004])) @ quaternion_matrix(hold.pose[3:])
-    hold.pose[:2] += [3e-3, -2e-3]
+    hold.pose[:2] += [2e-3, -1.5e-3]
     hold.pose[3:] = matrix_quaternion(meant)
     for _ in range(TURNS):
         hold.press()

@@ -18,14 +18,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.assembly.contacts import find_contacts
+from learn2assemble.assembly.contacts import Contacts, find_contacts
 from learn2assemble.assembly.hands import Hand
 from learn2assemble.cell.arrange import Arranged, Structure
 from learn2assemble.cell.building import Building, Prepared
 from learn2assemble.cell.crew import FINE, ArmCrew, Member, Reached
 from learn2assemble.cell.fitting import neighbours
 from learn2assemble.cell.pair import Pair, jobs_of, workcell_of
-from learn2assemble.cell.pressing import TURNS, PressingHand, pressed
+from learn2assemble.cell.pressing import TURNS, PressingHand, contact_force
 from learn2assemble.cell.reach import cells_of
 from learn2assemble.cell.state import Action
 from learn2assemble.cell.telling import route_of
@@ -89,7 +89,7 @@ class Brought(NamedTuple):
 
     ways: tuple[Reached, ...]
     """With the grasp that the proof counts on, where the block is held afterwards."""
-    pressed: np.ndarray = np.zeros(3)
+    force: np.ndarray | None = None
     """float64[3]: of all contacts on the block, while it is held, when the other arm has let go
     [N]."""
 
@@ -103,6 +103,7 @@ def ways_of(plan: Plan, members: Sequence[Member]) -> dict[int, Brought]:
     """
     assert plan.assembly is not None
     blocks, made = plan.assembly.blocks, plan.assembly.steps
+    contacts = find_contacts(plan.assembly)
     crew, nothing = ArmCrew(members, blocks), np.zeros(len(blocks), bool)
     state, found = State(nothing, nothing.copy()), dict[int, Brought]()
     for n, step in enumerate(plan.steps):
@@ -115,7 +116,8 @@ def ways_of(plan: Plan, members: Sequence[Member]) -> dict[int, Brought]:
                 some = crew.reached(step.block, state, step.arm, hand)
                 found[n] = Brought(tuple(islice(some, MOST)))
                 if hand is not None:
-                    found[n] = found[n]._replace(pressed=pressed_by(plan, n, state, hand))
+                    force = _force_when_held(plan, contacts, n, state, hand)
+                    found[n] = found[n]._replace(force=force)
             state = state.change(place=[step.block])
         elif step.action == "remove":
             state = state.change(remove=[step.block])
@@ -128,11 +130,14 @@ def ways_of(plan: Plan, members: Sequence[Member]) -> dict[int, Brought]:
     return found
 
 
-def pressed_by(plan: Plan, number: int, state: State, hand: Hand) -> np.ndarray:
+def _force_when_held(
+    plan: Plan, contacts: Contacts, number: int, state: State, hand: Hand
+) -> np.ndarray | None:
     """float64[3]: the sum of what all contacts do to a block [N] that is held from now on, when
     whoever holds another one has let go of that.
 
     Args:
+        contacts: of all blocks of the plan.
         number: of the step by which the block comes.
         state: before that.
         hand: by which it is held.
@@ -143,8 +148,7 @@ def pressed_by(plan: Plan, number: int, state: State, hand: Hand) -> np.ndarray:
     following = plan.steps[number + 2 : number + 3]
     if following and following[0].action == "release":
         then = then.change(release=[following[0].block])
-    found = pressed(plan.assembly, find_contacts(plan.assembly), then, block)
-    return np.zeros(3) if found is None else found
+    return contact_force(plan.assembly, contacts, then, block)
 
 
 def gather_in_turn(
@@ -341,7 +345,7 @@ class InTurn(Together[Cell]):
             assert isinstance(building, InTurnBuilding)
             known = sight.in_hand(), world.drawn(k), self._against(who, k)
             block = world.pieces[k]
-            hold = PressingHand(run, building.job.arm, *known, building.ways.pressed, block.mass)
+            hold = PressingHand(run, building.job.arm, *known, building.ways.force, block.mass)
             self._meanwhile(hold.press)
             taken = self.holds[1 - who] is not None
             self.now += 2

@@ -45,6 +45,9 @@ MOST_BACK = 1e-3
 """A hand that holds a block brings it to where it shall be, which it has missed by what carries it
 has given way, by so much at most at once [m]: else a gap that is closed from both sides is too
 narrow."""
+FARTHEST = 3e-3
+"""In all a hand moves no farther from where it set its block down than this [m], whatever it feels:
+a force that is never met is one that nothing measures, or nothing bears."""
 MOST_TURN = 0.01
 """The same of how it is turned [rad]."""
 NEAR_BY = 0.02
@@ -62,7 +65,9 @@ SURE = (0.85, 1.0)
 """Shares of the friction that forces may need, as tried."""
 
 
-def pressed(assembly: Assembly, contacts: Contacts, state: State, block: int) -> np.ndarray | None:
+def contact_force(
+    assembly: Assembly, contacts: Contacts, state: State, block: int
+) -> np.ndarray | None:
     """What the contacts of a held block shall do to it.
 
     Args:
@@ -95,7 +100,8 @@ class PressingHand:
         in_hand: float64[3] and float64[3, 3], of the block in the frame of the tool.
         pose: float64[7], the pose the block shall have.
         way: float64[3], unit vector towards what it is pressed on; zeros where it is on nothing.
-        force: float64[3], of what all contacts shall do to it while it is held [N].
+        force: float64[3], of what all contacts shall do to it while it is held [N]; None: it is
+            not pressed on anything, and only kept in its place.
         mass: of the block [kg].
     """
 
@@ -106,18 +112,20 @@ class PressingHand:
         in_hand: tuple[np.ndarray, np.ndarray],
         pose: np.ndarray,
         way: np.ndarray,
-        force: np.ndarray,
+        force: np.ndarray | None,
         mass: float,
     ) -> None:
         self.run: Execution = run
         self.arm: Arm = arm
         self.in_hand: tuple[np.ndarray, np.ndarray] = in_hand
         self.pose: np.ndarray = pose
-        self.way: np.ndarray = way
-        self.force: np.ndarray = force
+        self.way: np.ndarray = np.zeros(3) if force is None else way
+        self.force: np.ndarray = np.zeros(3) if force is None else force
         self.weight: np.ndarray = np.array([0.0, 0.0, GRAVITY * mass])
         self.there: np.ndarray = self._joints()
         """float64[n]: where it stays [rad]."""
+        self.start: np.ndarray = self._hand()[0]
+        """float64[3]: where the tool set the block down [m]."""
 
     def stay(self) -> None:
         """Hold it where it is, for a turn."""
@@ -163,9 +171,10 @@ class PressingHand:
         return self.pose[:3] - axes @ where, axes
 
     def _bent(self, point: np.ndarray, turn: np.ndarray) -> np.ndarray:
-        """float64[n] [rad]: the arm with its tool at a point float64[3] [m], its axes float64[3,
-        3]; as it is, where it cannot without another bend."""
+        """float64[n] [rad]: the arm with its tool at a point float64[3] [m], or as near to it as it
+        may move, its axes float64[3, 3]; as it is, where it cannot without another bend."""
         joints = self._joints()
+        point = self.start + _at_most(point - self.start, FARTHEST)
         found = solve(self.arm, point, turn, joints, restarts=0)
         near = found.ok and np.abs(found.joints - joints).max() < NEAR_BY
         return found.joints if near else joints

@@ -205,6 +205,8 @@ class System:
         bears at least a share of the mean of its joint: those for which hands give least, as the
         sum of their squares, and then of least elastic energy. None where there are none."""
         corners, patch = self.corners, self._contacts.patch
+        if not corners:
+            return None
         cone, parts = _cones(self._contacts.friction(friction))
         does, limited, most = hand_columns(self.held, self.count)
         count, every = np.bincount(patch), np.arange(corners)
