@@ -53,6 +53,10 @@ _NEAR = _HEAP + 6
 _OPEN_SHARE, _TOTAL, _OPEN, _PLACED, _LEGAL, _LOWEST_LEVEL, _LIMITED, _SPARE, _DEAD = range(9)
 """Features of a summary by name."""
 _COVERED, _KINDS, _LARGEST, _CUBE, _SIZES = 9, 13, 14, 15, 16
+_SUMMED_SIZES = (1, 2, 3, 4, 5, 6, 8)
+"""Sizes of kinds that the summary tells of [cells]."""
+_NO_LIMIT = 10_000
+"""So many blocks of a kind are left where the heap has no limit."""
 
 
 def mirrored(features: np.ndarray, u: bool, v: bool) -> np.ndarray:
@@ -78,30 +82,24 @@ def describe(world: LatticeWorld, candidates: np.ndarray) -> tuple[np.ndarray, n
         float32[m, NUM_FEATURES] and float32[NUM_SUMMARY].
     """
     site, found = world.site, world.site.found
-    wanted = site.wanted
-    sizes = np.array([len(kind.cells) for kind in site.kit.kinds])
-    alive = np.flatnonzero(world.alive)
-    places = np.bincount(site.kind[alive], minlength=len(sizes))
-    left = np.where(world.heap < 0, 10_000, world.heap)
-    open_cells = max(world.open, 1)
-    stock = float((left * sizes).sum())
-    limited = float((world.heap >= 0).any())
     out = np.zeros((len(candidates), NUM_FEATURES), np.float32)
-    open_mask = wanted.reshape(-1) & (world.owner < 0)
-    levels = np.flatnonzero(open_mask.reshape(wanted.shape).any((0, 1)))
-    lowest = int(levels[0]) if len(levels) else wanted.shape[2]
-    last = found.origin[world.placed[-1]] if world.placed else np.full(3, -1)
-    heap = np.stack(
-        [
-            np.full(len(sizes), limited),
-            np.minimum(left, 50) / 10.0,
-            np.minimum(left * sizes / open_cells, 2.0),
-            np.log1p(places) / 5.0,
-            np.minimum(left / np.maximum(places, 1), 2.0),
-            np.full(len(sizes), np.clip((stock - open_cells) / 8, -4, 4)),
-        ],
-        1,
+    summary = np.zeros(NUM_SUMMARY, np.float32)
+    sizes = np.array([len(kind.cells) for kind in site.kit.kinds])
+    heap = np.empty((len(sizes), 6))
+    built = np.array([world.open, len(world.placed), len(candidates)])
+    lowest = _sum_up(
+        summary,
+        heap,
+        site.wanted,
+        world.owner,
+        world.cover,
+        world.alive,
+        site.kind,
+        world.heap,
+        sizes,
+        built,
     )
+    last = found.origin[world.placed[-1]] if world.placed else np.full(3, -1)
     _describe(
         out,
         candidates,
@@ -112,7 +110,7 @@ def describe(world: LatticeWorld, candidates: np.ndarray) -> tuple[np.ndarray, n
         found.cell,
         found.support,
         found.hanging,
-        wanted,
+        site.wanted,
         world.owner,
         world.cover,
         world.alive,
@@ -122,40 +120,92 @@ def describe(world: LatticeWorld, candidates: np.ndarray) -> tuple[np.ndarray, n
         lowest,
         last,
     )
-    return out, _summary(world, lowest, limited, stock, sizes, places, open_mask, len(candidates))
+    return out, summary
 
 
-def _summary(
-    world: LatticeWorld,
-    lowest: int,
-    limited: float,
-    stock: float,
+@kernel
+def _sum_up(
+    out: np.ndarray,
+    table: np.ndarray,
+    wanted: np.ndarray,
+    owner: np.ndarray,
+    cover: np.ndarray,
+    alive: np.ndarray,
+    kind: np.ndarray,
+    heap: np.ndarray,
     sizes: np.ndarray,
-    places: np.ndarray,
-    open_mask: np.ndarray,
-    legal: int,
-) -> np.ndarray:
-    wanted, total = world.site.wanted, max(int(world.site.wanted.sum()), 1)
-    cover = world.cover[open_mask]
-    available = (world.heap != 0) & (places >= 0)
-    out = np.zeros(NUM_SUMMARY, np.float32)
-    out[_OPEN_SHARE] = world.open / total
-    out[_TOTAL] = np.log1p(total) / 8
-    out[_OPEN] = np.log1p(world.open) / 8
-    out[_PLACED] = np.log1p(len(world.placed)) / 6
-    out[_LEGAL] = np.log1p(legal) / 7
-    out[_LOWEST_LEVEL] = lowest / max(wanted.shape[2], 1)
+    built: np.ndarray,
+) -> int:
+    """Fill the summary and the table of the heap; the lowest level that has an open cell.
+
+    Args:
+        out: float32[NUM_SUMMARY], zeros.
+        table: float64[kinds, 6]: what a candidate shows of the heap of its kind.
+        heap: int64[kinds]: blocks left, negative where there is no limit.
+        sizes: int64[kinds] [cells].
+        built: how many cells are open, blocks are placed and candidates are offered.
+    """
+    size_x, size_y, size_z = wanted.shape
+    open_, placed, offered = built
+    lowest, total, open_count = size_z, 0, 0
+    few = np.zeros(5, np.int64)  # Open cells that so many candidates fill.
+    cell = 0
+    for x in range(size_x):
+        for y in range(size_y):
+            for z in range(size_z):
+                if wanted[x, y, z]:
+                    total += 1
+                    if owner[cell] < 0:
+                        open_count += 1
+                        lowest = min(lowest, z)
+                        if cover[cell] < len(few):
+                            few[cover[cell]] += 1
+                cell += 1
+    places = np.zeros(len(sizes), np.int64)
+    for c in range(len(alive)):
+        if alive[c]:
+            places[kind[c]] += 1
+    limited, stock = 0.0, 0.0
+    for k in range(len(sizes)):
+        if heap[k] >= 0:
+            limited = 1.0
+        stock += float((heap[k] if heap[k] >= 0 else _NO_LIMIT) * sizes[k])
+    least_open = max(open_, 1)
+    spare = min(max((stock - least_open) / 8, -4.0), 4.0)
+    for k in range(len(sizes)):
+        left = heap[k] if heap[k] >= 0 else _NO_LIMIT
+        table[k, 0] = limited
+        table[k, 1] = min(left, 50) / 10.0
+        table[k, 2] = min(left * sizes[k] / least_open, 2.0)
+        table[k, 3] = np.log1p(float(places[k])) / 5.0
+        table[k, 4] = min(left / max(places[k], 1), 2.0)
+        table[k, 5] = spare
+    total = max(total, 1)
+    out[_OPEN_SHARE] = open_ / total
+    out[_TOTAL] = np.log1p(float(total)) / 8
+    out[_OPEN] = np.log1p(float(open_)) / 8
+    out[_PLACED] = np.log1p(float(placed)) / 6
+    out[_LEGAL] = np.log1p(float(offered)) / 7
+    out[_LOWEST_LEVEL] = lowest / max(size_z, 1)
     out[_LIMITED] = limited
-    out[_SPARE] = np.clip((stock - world.open) / 8, -4, 4)
-    out[_DEAD] = np.log1p((cover == 0).sum())
+    out[_SPARE] = min(max((stock - open_) / 8, -4.0), 4.0)
+    out[_DEAD] = np.log1p(float(few[0]))
     for k in range(1, 5):
-        out[_COVERED + k - 1] = (cover == k).sum() / max(len(cover), 1)
-    out[_KINDS] = available.sum() / 10
-    out[_LARGEST] = sizes[available].max(initial=0) / 16
-    out[_CUBE] = float((sizes[available] == 1).any())
-    for k, size in enumerate((1, 2, 3, 4, 5, 6, 8)):
-        out[_SIZES + k] = float((sizes[available] == size).any())
-    return out
+        out[_COVERED + k - 1] = few[k] / max(open_count, 1)
+    kinds, largest = 0, 0
+    for k in range(len(sizes)):
+        if heap[k] == 0:
+            continue
+        kinds += 1
+        largest = max(largest, sizes[k])
+        if sizes[k] == 1:
+            out[_CUBE] = 1.0
+        for i in range(len(_SUMMED_SIZES)):
+            if sizes[k] == _SUMMED_SIZES[i]:
+                out[_SIZES + i] = 1.0
+    out[_KINDS] = kinds / 10
+    out[_LARGEST] = largest / 16
+    return lowest
 
 
 @kernel
