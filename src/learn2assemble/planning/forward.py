@@ -314,6 +314,8 @@ class Forward:
         order = sorted([*ready, *beside], key=lambda b: (b not in close, b in beside, rank[b]))
         for size in range(self.holds + 1):
             for b in order:
+                if not self._could_hold(b, state, held, size):
+                    continue
                 for arm, hand in self.site.crew.grips(b, state):
                     hold = Doing("hold", b, None, arm, hand)
                     taken = hold.after(state.change(place=[b]))
@@ -331,6 +333,18 @@ class Forward:
                             steps += [let_go(h, taken) for h in gone]
                             yield Transition(tuple(steps), after, last.gone)
                             break
+
+    def _could_hold(self, block: int, state: State, held: Sequence[int], size: int) -> bool:
+        """Whether a block could come if its hand bore any load, with ``size`` of it and those that
+        are ``held`` not let go: what an arm could give is found out only then."""
+        taken = state.change(place=[block], hold=[block])
+        if size and not self.stands(taken):
+            return False
+        for keep in combinations([block, *held], size):
+            gone = [h for h in (block, *held) if h not in keep]
+            if self.stands(taken.change(release=gone), gone):
+                return True
+        return False
 
     def _hands(self, state: State) -> tuple[tuple[int, str], ...]:
         """Who holds what."""
