@@ -272,6 +272,7 @@ def _summary(plan: Plan) -> dict[str, Any]:
         "proof_s": plan.proof_s,
         "seconds": plan.seconds,
         "margin_g": plan.margin_g,
+        "margin_friction": plan.margin_friction,
         "margin_n": min((s.margin_n for s in plan.steps if s.margin_n is not None), default=None),
         "friction_range": plan.friction_range,
         "gap_range": plan.gap_range,
@@ -316,6 +317,8 @@ def _counted(plan: Plan) -> list[tuple[str, str, int]]:
 
 def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
     """Blocks by kind, then what was filled and what is proven."""
+    from learn2assemble.viewer.words import weakest_words
+
     output.table(plan.design.name, ("block", "", "number"), _counted(plan))
     number = f"{plan.blocks.used} blocks, {len(plan.steps)} steps"
     status = plan.status
@@ -349,7 +352,7 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
         output.say(f"{made.kept} blocks stay, {made.taken} are taken away, {made.placed} placed")
     if plan.steps and plan.margin_g is not None:
         left = plan.without_margin
-        output.say(f"every step is proven; the weakest withstands {plan.margin_g:.3f} g sideways")
+        output.paragraph(f"every step is proven; the weakest is {weakest_words(plan)}")
         if left:
             output.say(f"{left} of {len(plan.steps)} steps are without a computed margin")
     proven = plan.proven_for

@@ -174,8 +174,20 @@ def noted_steps(
     return found
 
 
-def summary(assembly: Assembly, parts: Sequence[ScenePart], extent: np.ndarray) -> str:
-    """How much there is, in one line; ``extent`` float64[3] of all of it [m]."""
+def summary(
+    assembly: Assembly,
+    parts: Sequence[ScenePart],
+    extent: np.ndarray,
+    friction: float | None = None,
+) -> str:
+    """How much there is, in one line.
+
+    Args:
+        assembly: what stands.
+        parts: one stay of every block.
+        extent: float64[3], of all of it [m].
+        friction: for which it is proven, where that is not the assembly's own.
+    """
     props = sum(part.block.prop for part in parts)
     supports = sum(part.block.support for part in parts)
     gone = sum(bool(part.removed) and not part.block.prop for part in parts)
@@ -185,7 +197,8 @@ def summary(assembly: Assembly, parts: Sequence[ScenePart], extent: np.ndarray) 
     words += [count_words(supports, "fixed support")] if supports else []
     words += [count_words(len(assembly.steps), "step")] if assembly.steps else []
     words += [f"{len(assembly.not_built)} not built"] if assembly.not_built else []
-    return ", ".join([*words, f"friction {assembly.friction:g}"]) + "."
+    mu = assembly.friction if friction is None else friction
+    return ", ".join([*words, f"friction {mu:g}"]) + "."
 
 
 def step_table(steps: Sequence[Noted]) -> tuple[str, str]:
