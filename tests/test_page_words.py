@@ -12,12 +12,20 @@ import numpy as np
 import pytest
 
 import learn2assemble as l2a
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, hull_block
+from learn2assemble.assembly.boxes import box_block
+from learn2assemble.assembly.instructions import instructions
+from learn2assemble.assembly.shapes import rotation
 from learn2assemble.cli.commands import _print_plan
 from learn2assemble.cli.output import Output
 from learn2assemble.constants import GRAVITY
+from learn2assemble.export.cards import step_cards
+from learn2assemble.export.pictures import booklet
+from learn2assemble.export.projection import project
 from learn2assemble.planning.plan import Plan
-from learn2assemble.viewer.page import write_plan_page
+from learn2assemble.viewer.page import render_assembly_page, write_plan_page
 from learn2assemble.viewer.words import weakest_words
+from read_back import arch, visible_text
 
 
 @cache
@@ -74,3 +82,52 @@ def test_a_plan_without_margins_names_no_weakest_step() -> None:
     plan = gate()
     bare = tuple(replace(step, margin_g=None) for step in plan.steps)
     assert not weakest_words(replace(plan, steps=bare))
+
+
+def turned() -> Assembly:
+    """A straight brick, and another one turned by ten degrees about the vertical."""
+    straight = box_block("straight", (0, 0, 0), (0.1, 0.05, 0.04))
+    other = hull_block("turned", straight.vertices @ rotation((0, 0, 10)).T + (0.2, 0.02, 0))
+    return Assembly((straight, other), (AssemblyStep("turned"), AssemblyStep("straight")))
+
+
+def test_the_corner_of_a_turned_brick_is_told_apart_from_its_place_and_drawn() -> None:
+    made = turned()
+    for text in (step_cards(made), render_assembly_page(made, title="x")):
+        words = visible_text(text)
+        assert "of step 1: corner 1 is 200 mm to the right of O, 20 mm behind it." in words
+        assert "turned by other than 90° or 180°" in words
+        assert "leans" not in words
+    [picture] = [card.picture for card in booklet(made).cards]
+    placement = instructions(made).placements[0]
+    assert placement.askew
+    [dot] = picture.dots
+    np.testing.assert_allclose(dot, project(np.array(placement.position)))
+    assert [len(picture.dots) for _, picture in booklet(made).shapes] == [1]
+    assert step_cards(made).count("<circle class=o ") == 2, "on the card and in the bill"
+
+
+def test_nothing_is_said_of_corners_where_no_block_is_turned_askew() -> None:
+    made = replace(turned(), steps=(AssemblyStep("straight"),), blocks=turned().blocks[:1])
+    for text in (step_cards(made), render_assembly_page(made, title="x")):
+        assert "corner 1" not in visible_text(text)
+        assert "<circle class=o " not in text
+
+
+def test_numbered_shapes_are_drawn_large_enough_to_part_the_numbers() -> None:
+    """Beside a post as wide as the arch, the numbers of the corners of a wedge ran together."""
+    made = arch()
+    post = box_block("post", (-0.2, -1, 0), (0.3, -0.9, 0.35), prop=True)
+    made = replace(made, blocks=(*made.blocks, post), steps=(*made.steps, AssemblyStep("post")))
+    shapes = {shape.letter: picture for shape, picture in booklet(made).shapes}
+    assert shapes["A"].labels
+    assert (shapes["A"].within is None, shapes["B"].within is None) == (False, True)
+
+
+def test_a_prop_that_stands_keeps_its_colour_on_cards() -> None:
+    prop = box_block("prop", (0.1, 0, 0), (0.15, 0.05, 0.05), prop=True)
+    block, *_ = turned().blocks
+    steps = (AssemblyStep("prop"), AssemblyStep("straight"), AssemblyStep(remove="prop"))
+    cards = booklet(Assembly((block, prop), steps)).cards
+    second = next(card for card in cards if card.group.main.number == 2)
+    assert {use.colour for use in second.picture.uses} == {"prop", cards[1].group.main.shape.colour}

@@ -16,7 +16,7 @@ import numpy as np
 from learn2assemble.assembly.appearance import has_leaning_face
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import Contacts
-from learn2assemble.assembly.instruction_words import HOW_TO_READ, count_words, length_words
+from learn2assemble.assembly.instruction_words import count_words, length_words, reading_words
 from learn2assemble.assembly.instructions import Instructions, instructions
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError, as_both
@@ -253,7 +253,7 @@ def _build(
         "corners": tables.corners(told),
         "cuts": tables.cuts(told),
         "joint": joint * bool(told.joint),
-        "how_to_read": escape(HOW_TO_READ),
+        "how_to_read": escape(reading_words(told)),
         "step_head": head,
         "steps": rows,
     }
