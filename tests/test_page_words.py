@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from dataclasses import replace
 from functools import cache
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import learn2assemble as l2a
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, hull_block
@@ -19,11 +21,14 @@ from learn2assemble.assembly.shapes import rotation
 from learn2assemble.cli.commands import _print_plan
 from learn2assemble.cli.output import Output
 from learn2assemble.constants import GRAVITY
+from learn2assemble.design.cells import CellDesign
 from learn2assemble.export.cards import step_cards
 from learn2assemble.export.pictures import booklet
 from learn2assemble.export.projection import project
 from learn2assemble.planning.plan import Plan
-from learn2assemble.viewer.page import render_assembly_page, write_plan_page
+from learn2assemble.viewer import preview
+from learn2assemble.viewer.html import asset
+from learn2assemble.viewer.page import Verdict, render_assembly_page, write_plan_page
 from learn2assemble.viewer.words import weakest_words
 from read_back import arch, visible_text
 
@@ -131,3 +136,56 @@ def test_a_prop_that_stands_keeps_its_colour_on_cards() -> None:
     cards = booklet(Assembly((block, prop), steps)).cards
     second = next(card for card in cards if card.group.main.number == 2)
     assert {use.colour for use in second.picture.uses} == {"prop", cards[1].group.main.shape.colour}
+
+
+@pytest.mark.parametrize(("depth", "told"), [(0.0395, "y 40"), (0.07417, "y 80"), (0.1, "y 100")])
+def test_the_last_line_of_a_grid_is_not_well_behind_what_stands(depth: float, told: str) -> None:
+    """A wall 39.5 mm thick had `y 50` at its back corner, where it ends."""
+    ends = [(k * 0.16, (k + 1) * 0.16) for k in range(5)]
+    blocks = tuple(box_block(f"b{k}", (a, 0, 0), (b, depth, 0.04)) for k, (a, b) in enumerate(ends))
+    made = Assembly(blocks, tuple(AssemblyStep(block.id) for block in blocks))
+    book = booklet(made)
+    for picture in (book.cover, *(card.picture for card in book.cards)):
+        labels = [text for _, text, side in picture.grid.labels if text.startswith("y ")]
+        assert labels == [told]
+
+
+def test_a_kind_does_not_repeat_the_size() -> None:
+    """Blocks without a kind are called by their size, which has a column of its own."""
+    text = render_assembly_page(turned(), title="x")
+    row = re.search(r'<tr data-step="1">(.*?)</tr>', text)
+    assert row
+    assert row[1].count("100 × 50 × 40") == 1
+    bill = text.split("Bill of blocks")[1].split("</table>")[0]
+    assert "</svg>A</td><td>block</td>" in bill
+
+
+def test_names_between_backticks_are_code_on_a_page() -> None:
+    reason = "no blocks of kit `my <bricks>` fill 2 cells"
+    text = render_assembly_page(turned(), title="x", verdict=Verdict("refused", reason))
+    assert "No blocks of kit <code>my &lt;bricks&gt;</code> fill 2 cells." in text
+
+
+def test_tables_break_no_words_and_captions_have_one_weight() -> None:
+    style = re.sub(r"\s+", " ", asset("page.css"))
+    cells = [
+        rule for rule in re.findall(r"[^{}]*\{[^{}]*\}", style) if re.match(r" ?t[hd]\b", rule)
+    ]
+    assert cells
+    assert not any("anywhere" in rule for rule in cells)
+    captions = re.findall(r"\.caption \{[^{}]*\}", style)
+    assert captions
+    assert not any("font-weight" in rule for rule in captions)
+
+
+def test_a_preview_is_as_large_as_what_it_shows() -> None:
+    """Of a long low design most of the picture was empty, and the last view far to the right."""
+    wanted = np.ones((10, 1, 5), bool)
+    image = Image.open(io.BytesIO(preview.draw(CellDesign("bench", wanted, (0.05,) * 3))))
+    around = preview.HEAD + preview.MARGIN + preview.FOOT
+    assert image.height == around + preview.SIDE // 2
+    paper = np.asarray(image.convert("RGB"))
+    cell = np.abs(paper.astype(int) - (236, 202, 144)).sum(-1) < 30
+    columns = np.flatnonzero(cell.any(0))
+    assert image.width - columns[-1] <= preview.MARGIN + 2
+    assert np.diff(columns).max() < 0.2 * image.width

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from learn2assemble.assembly.appearance import millimetres
 from learn2assemble.assembly.blocks import Action
 from learn2assemble.assembly.instructions import (
     BillLine,
@@ -94,13 +95,18 @@ def reading_words(told: Instructions, where: str = "") -> str:
     return _HOW_TO_READ + f"{_CORNER}{where}." * told.askew
 
 
+def kind_words(shape: BlockShape) -> str:
+    """What a shape is called beside its size: ``block`` where that is all that it is called by."""
+    return "block" if shape.kind == millimetres(*shape.size) else shape.kind
+
+
 def bill_words(line: BillLine) -> tuple[str, ...]:
     """The line of a shape in a table below :data:`BILL_HEAD`."""
     shape = line.shape
     number = f"{line.built}" + f" + {line.standing} standing" * bool(line.standing)
     size, itself = extent_words(shape.nominal), extent_words(shape.size)
     props = str(line.props) if line.props else "–"
-    kind = f"{shape.kind}, {shape.colour}" if shape.asked else shape.kind
+    kind = kind_words(shape) + f", {shape.colour}" * shape.asked
     return (shape.letter, kind, number, props, size, itself, f"{shape.mass:.3g} kg")
 
 

@@ -238,7 +238,8 @@ def _card(common: _Common, group: Group, standing: set[int]) -> Card:
         low = np.floor(scene.low[members].min(0) / wide) * wide
         high = np.ceil(scene.high[members].max(0) / wide) * wide
         low[:2] = np.maximum(low[:2], 0)
-        high[:2] = np.minimum(high[:2], np.ceil(told.extent[:2] / spacing - 1e-6) * spacing)
+        high[0] = min(high[0], np.ceil(told.extent[0] / spacing - 1e-6) * spacing)
+        high[1] = min(high[1], told.extent[1])
         level = float(scene.low[members][:, 2].min())
         key = (*low[:2].round(6), *high[:2].round(6), round(level, 6))
         if key not in grids:
@@ -432,18 +433,31 @@ def _spacing(told: Instructions, usual: float) -> float:
     return float(next(k * power for k in (1, 2, 5, 10) if k * power >= wanted * (1 - 1e-9)))
 
 
+def _depth_step(step: float, depth: float) -> float:
+    """The distance of lines from front to back [m]: that of the others, or a smaller one where the
+    last line would lie well behind ``depth``, as what stands hides that it does."""
+    for _ in range(3):
+        if math.ceil(depth / step - 1e-6) * step <= 1.1 * depth:
+            break
+        leading = round(step / 10.0 ** math.floor(math.log10(step) + 1e-9))
+        step /= 2.5 if leading == 5 else 2.0
+    return step
+
+
 def _grid(
     low: tuple[float, ...], high: tuple[float, ...], level: float, step: float, height: float
 ) -> Grid:
     """Lines every ``step`` on a level, with distances at the front and left; of a height [m] also
     a scale of heights at the back left."""
+    steps = (step, _depth_step(step, high[1]))
     xs, ys = (
-        np.arange(math.floor(low[k] / step + 1e-6), math.ceil(high[k] / step - 1e-6) + 1) * step
-        for k in range(2)
+        np.arange(math.floor(low[k] / every + 1e-6), math.ceil(high[k] / every - 1e-6) + 1) * every
+        for k, every in enumerate(steps)
     )
     ends = [(x, ys[0], x, ys[-1]) for x in xs] + [(xs[0], y, xs[-1], y) for y in ys]
     lines = [project(np.array([(a, b, level), (c, d, level)])) for a, b, c, d in ends]
     every_x, every_y = -(-(len(xs) - 1) // 5) or 1, -(-(len(ys) - 1) // 3) or 1
+    every_y = max(every_y, math.ceil(steps[0] / steps[1] - 1e-6))
     front, side = xs[::-every_x].tolist(), ys[:0:-every_y].tolist()
     labels = [
         (project(np.array([x, ys[0], level])), "x " * (x == front[0]) + length_words(x), "below")

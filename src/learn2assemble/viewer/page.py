@@ -34,7 +34,7 @@ from learn2assemble.viewer.arm import (
     standing_data,
 )
 from learn2assemble.viewer.errors import error_section
-from learn2assemble.viewer.html import fact_list, speed_options, stand_alone
+from learn2assemble.viewer.html import fact_list, prose, speed_options, stand_alone
 from learn2assemble.viewer.places import place_section
 from learn2assemble.viewer.playback import Playback
 from learn2assemble.viewer.scene import SEEN_FROM_BEHIND, Mark, ScenePart, cell_labels
@@ -203,7 +203,7 @@ def _head(title: str, verdict: Verdict, plan: Plan | None) -> dict[str, str]:
     """What stands above and below everything else on any page."""
     status, reason, _ = verdict
     tone = f' <span class="status {TONES.get(status, "warn")}">{escape(status)}</span>'
-    words = [f"<p>{escape(text)}</p>" for text in (sentence(reason), *_blame_sentences(plan))]
+    words = [f"<p>{prose(text)}</p>" for text in (sentence(reason), *_blame_sentences(plan))]
     page = {
         "title": escape(title),
         "eyebrow": "Assembly" + tone * bool(status),
