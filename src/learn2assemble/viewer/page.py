@@ -187,7 +187,9 @@ def render_assembly_page(
         if data["arm"]["truth"] is not None:
             words = "where a block really is, errors {} times as large"
             page["legend"] += tables.entry("truth", words.format(data["arm"]["truth"]["scale"]))
-        page["attempts"] = place_section(playback, told.origin)
+        page["attempts"] = place_section(
+            playback, told.origin, "" if plan.arm is None else plan.arm.planed_words
+        )
         page["attempts"] += arm_section(playback, labels.names)
         page["attempts"] += error_section(playback, labels.names)
         scripts = (*_SCRIPTS[:-1], "arm.js", _SCRIPTS[-1])
