@@ -304,7 +304,8 @@ def _curves(axes: Axes) -> None:
         with file.open(encoding="utf-8") as stream:
             lines += csv.DictReader(stream)
     tasks = dict.fromkeys(one["task"] for one in lines)
-    for task, tone in zip(tasks, (WARM, INK, ACCENT, SOFT, LINE, "#7048e8"), strict=False):
+    tones = (WARM, INK, ACCENT, SOFT, LINE, "#7048e8", "#2b8a3e")
+    for task, tone in zip(tasks, tones[: len(tasks)], strict=True):
         mine = [one for one in lines if one["task"] == task]
         for n, seed in enumerate(sorted({one["seed"] for one in mine})):
             told = [(int(r["steps"]), float(r["return"])) for r in mine if r["seed"] == seed]
@@ -312,7 +313,7 @@ def _curves(axes: Axes) -> None:
             axes.plot(*np.transpose(told), color=tone, lw=0.9, alpha=0.7, **name)
     axes.set_xlabel("steps of training, MaskablePPO, five seeds", color=SOFT)
     axes.set_ylabel("return, not discounted", color=SOFT)
-    axes.legend(frameon=False, labelcolor=INK, fontsize=8)
+    axes.legend(frameon=False, labelcolor=INK, fontsize=8, loc="upper left", bbox_to_anchor=(1, 1))
 
 
 def _builders(axes: Axes) -> None:

@@ -347,7 +347,7 @@ def _demonstrate(options: argparse.Namespace, output: Output) -> None:
 @command(COMMANDS, "tasks", "list the tasks and their agents", "l2a tasks", learns=True)
 def _tasks(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.tasks.networks.agent import agent_files, agent_info
-    from learn2assemble.tasks.task import DESIGN_TASKS, GOAL_TASKS, PRESETS
+    from learn2assemble.tasks.task import DESIGN_TASKS, GOAL_TASKS, HIDDEN_TASKS, PRESETS
 
     agents: dict[str, list[str]] = {}
     for name in agent_files():
@@ -384,7 +384,14 @@ def _tasks(options: argparse.Namespace, output: Output) -> None:
     _list(output, "task of designs", ("families", "kit", "blocks", "heap"), designs)
     goals = {name: task.goals for name, task in GOAL_TASKS.items()}
     output.table("", ("task of goals", "goals"), list(goals.items()))
-    output.finish({"tasks": rows, "designs": designs, "goals": goals})
+    hidden = {
+        name: {"kit": task.kit, "blocks": list(task.blocks)} for name, task in HIDDEN_TASKS.items()
+    }
+    told = [
+        (name, one["kit"], " to ".join(map(str, one["blocks"]))) for name, one in hidden.items()
+    ]
+    output.table("", ("task with hidden errors", "kit", "blocks"), told)
+    output.finish({"tasks": rows, "designs": designs, "goals": goals, "hidden": hidden})
 
 
 _SHOWN: dict[str, Callable[[dict[str, Any]], object]] = {
