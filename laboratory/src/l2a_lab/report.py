@@ -214,16 +214,24 @@ def against_paper(data: TableData, condition: Condition) -> list[str]:
 
     Published rows without a search stand against our last one without, rows with a search against
     our last one with it, and rows of ours that have published numbers beside them against these.
-    Of rows without a search it is also said where the exact look-ahead is not better either.
+    Of rows without a search it is also said where the exact look-ahead is not better either. A
+    number that stands beside rows of several schedules counts once.
     """
     lacking: list[set[str]] = []
     missed: list[str] = []
     for line in zip(*data.entries, strict=True):
         best = next((entry for entry in line if entry.row.policy == LOOK_AHEAD), None)
+        seen: list[dict[str, str]] = []
         for entry in line:
             own = _opponent(line, entry, condition)
-            if own is None or entry.paper is None or entry.paper.R is None:
+            if (
+                own is None
+                or entry.paper is None
+                or entry.paper.R is None
+                or entry.row.paper in seen
+            ):
                 continue
+            seen.append(entry.row.paper)
             lacking.append(_lacking(entry.paper, own))
             hard = set[str]()
             if best is not None and condition in best.results and not entry.row.budget:
