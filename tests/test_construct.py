@@ -270,7 +270,7 @@ def test_tight_joints_are_used_where_no_gap_is_asked_for_and_said() -> None:
     assert not plan_cells(design, "bricks", gap=0.0, friction=(0.0, 0.6)).complete
     open_ = plan_cells(design, "bricks")
     assert open_.status == "refused"
-    assert "only with tight joints (gap 0)" in (open_.reason or "")
+    assert "with tight joints (gap 0) it stands" in (open_.reason or "")
 
 
 def test_props_come_before_tight_joints() -> None:
@@ -497,3 +497,41 @@ def test_the_page_shows_what_was_drawn(browser: str, tmp_path: Path) -> None:
     # Leaves above, a trunk below: 30 cells and 10.
     assert green.sum() > 2 * brown.sum() > 2000
     assert np.flatnonzero(green.any(1)).mean() < np.flatnonzero(brown.any(1)).mean()
+
+
+def _heap(**counts: int) -> Kit:
+    """Straight blocks one cell high by their length in words, so many of each."""
+    sizes = {"half": 1, "brick": 2, "long": 4}
+    kinds = tuple(
+        Kind(name, tuple((x, 0, 0) for x in range(sizes[name])), count)
+        for name, count in counts.items()
+    )
+    return replace(load_kit("bricks"), name="heap", kinds=kinds)
+
+
+def test_a_heap_that_lacks_blocks_for_props_says_how_many_more_would_do() -> None:
+    """A wall over an opening of four cells, whose blocks do not stay until others lie on them."""
+    wanted = np.zeros((12, 1, 5), bool)
+    wanted[:4, 0, :3] = wanted[8:, 0, :3] = wanted[:, 0, 3:] = True
+    design = CellDesign("deck", wanted, (0.05, 0.05, 0.05), None, 0.0, None, "test", None)
+    kit = _heap(half=4, long=11)
+    plan = plan_cells(design, kit)
+    assert plan.status == "not found"
+    reason = plan.reason or ""
+    assert "nothing below carries 4 cells in a row at level 3 (the first is (4, 0, 3))" in reason
+    assert "too few blocks left for props" in reason
+    found = re.search(r"with ((?:\d+ x \w+(?:, )?)+) more, for props, it stands", reason)
+    assert found, reason
+    more = {name: int(n) for n, name in (one.split(" x ") for one in found[1].split(", "))}
+    counts = {kind.name: (kind.count or 0) + more.get(kind.name, 0) for kind in kit.kinds}
+    assert plan_cells(design, _heap(**counts)).complete
+
+
+def test_a_heap_that_is_too_small_says_what_it_lacks() -> None:
+    wall = np.ones((10, 1, 2), bool)
+    design = CellDesign("wall", wall, (0.05, 0.05, 0.05), None, 0.0, None, "test", None)
+    plan = plan_cells(design, _heap(half=1, brick=1, long=1))
+    assert plan.status == "refused"
+    assert (plan.reason or "").endswith(
+        "has 7 cells; the design has 20: it lacks at least 3 x long and 1 x half"
+    )

@@ -25,7 +25,7 @@ from learn2assemble.assembly.contacts import Contacts, find_contacts
 from learn2assemble.assembly.cuts import POST
 from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.cell.carry_out import Workcell, advise, carry_out
-from learn2assemble.cell.pieces import PROP_ROOM, pieces_of
+from learn2assemble.cell.pieces import PROP_ROOM, pieces_of, planed_props
 from learn2assemble.cell.site import Obstacle, Site
 from learn2assemble.cell.world import Rows, way_out
 from learn2assemble.constants import GRAVITY
@@ -255,6 +255,10 @@ def test_props_of_a_bridge_are_taken_away(bridge: tuple[Plan, Kit], arm: str) ->
     gone = [step for step in done.steps if step.action == "remove"]
     assert {step.grasp for step in gone[:1]} == {"suction from the side"}
     assert len(gone) == sum(s.prop and s.action == "place" for s in done.steps)
+    assert done.arm is not None
+    assert plan.assembly is not None
+    assert done.arm.planed_props == len(planed_props(plan.assembly)) > 0
+    assert "0.3 mm lower than" in done.arm.planed_words
     if arm == "ur5e":
         return
     refused = carry_out(plan, Workcell(arm, "suction", physics="kinematic"), joint=kit.joint_gap)

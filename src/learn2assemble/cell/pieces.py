@@ -241,12 +241,14 @@ def pieces_of(assembly: Assembly) -> tuple[Piece, ...]:
     Raises:
         InputError: for a block of too many convex parts.
     """
+    planed, known = planed_props(assembly), list[_Known]()
+    return tuple(_piece(b, PROP_ROOM if b.id in planed else 0.0, known) for b in assembly.blocks)
+
+
+def planed_props(assembly: Assembly) -> frozenset[str]:
+    """The props that are lower than their kind by :data:`PROP_ROOM`: those that carry others."""
     bottoms = [(b.vertices.min(0), b.vertices.max(0)) for b in assembly.blocks if not b.prop]
-    known: list[_Known] = []
-    return tuple(
-        _piece(b, PROP_ROOM if b.prop and _carries(b, bottoms) else 0.0, known)
-        for b in assembly.blocks
-    )
+    return frozenset(b.id for b in assembly.blocks if b.prop and _carries(b, bottoms))
 
 
 def _carries(block: Block, others: list[tuple[np.ndarray, np.ndarray]]) -> bool:

@@ -15,6 +15,7 @@ import numpy as np
 
 from learn2assemble.assembly.blocks import AssemblyStep
 from learn2assemble.cell.building import ASIDE, Building
+from learn2assemble.cell.pieces import PROP_ROOM, planed_props
 from learn2assemble.cell.state import Done
 from learn2assemble.cell.workcell import Job, StepOf, Workcell
 from learn2assemble.cell.world import STANDING
@@ -85,6 +86,7 @@ def arm_report(
         if step not in building.known.by_hand and step.plain not in others
     )
     measured = measure(building, plant, {step.block for step in others})
+    planed = len(planed_props(job.assembly))
     return ArmReport(
         workcell.arm,
         _pitch(job),
@@ -100,6 +102,8 @@ def arm_report(
         belief_error=measured.belief,
         overlap=measured.overlap,
         error_on_table=measured.on_table,
+        planed_props=planed,
+        planed_off=PROP_ROOM if planed else 0.0,
     )
 
 

@@ -392,6 +392,8 @@ def _print_arm(output: Output, arm: ArmReport, name: str) -> None:
     output.paragraph(f"arm {name} with {arm.tool}{where}{', ' * bool(places)}{places}")
     a_step = "" if arm.attempts_per_step is None else f" ({arm.attempts_per_step:.3f} a step)"
     output.say(f"{arm.attempts} attempts{a_step}, {arm.seconds:.0f} s of robot time")
+    if arm.planed_words:
+        output.paragraph(arm.planed_words)
     if arm.error_mean is not None and arm.error_worst is not None:
         output.paragraph(
             f"blocks stand {1e3 * arm.error_mean:.2f} mm from their places on average, "

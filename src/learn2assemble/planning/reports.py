@@ -72,9 +72,25 @@ class ArmReport:
     error_on_table: Metre | None = None
     """Largest distance of a block from its place on the table as it really is, where a simulation
     has one that is higher, lower or leans [m]."""
+    planed_props: Count = 0
+    """Props whose top has to be a little lower than that of their kind, so that they come out from
+    below what they carry ..."""
+    planed_off: Metre = 0.0
+    """... and by how much [m]."""
     motion_fault: str | None = None
     """Why no robot is to be given the recorded motion, if it is not sound; the build is as it is
     told."""
+
+    @property
+    def planed_words(self) -> str:
+        """What has to be done to some props before an arm builds with them; empty for none."""
+        count, off = self.planed_props, 1e3 * self.planed_off
+        if not count:
+            return ""
+        which = "prop is" if count == 1 else "props are"
+        its = "its kind: plane its top" if count == 1 else "their kind: plane their tops"
+        back = "it comes out again" if count == 1 else "they come out again"
+        return f"{count} {which} {off:g} mm lower than {its}, so that {back}"
 
 
 @dataclass(frozen=True)

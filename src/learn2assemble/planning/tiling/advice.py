@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
@@ -12,6 +13,7 @@ from learn2assemble.assembly.kit import Kit, kit_names, load_kit
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.planning.tiling.ordering import Ordering
+from learn2assemble.planning.tiling.props import choose_props, unsupported
 from learn2assemble.planning.tiling.tile import MAX_EXTENT, Tiling
 
 MAX_CELLS = 3000
@@ -35,9 +37,9 @@ def advise(
 ) -> str:
     """What makes a plan of this design complete, in one clause; empty where nothing tried does.
 
-    Tried in this order: joints of width 0, the kits of the package, filling what is under an
-    overhang, filling everything down to the table, leaving out the lowest levels so that the base
-    is flat, cells half as large, cells twice as large.
+    Tried in this order: more blocks of a heap, for props; joints of width 0, the kits of the
+    package, filling what is under an overhang, filling everything down to the table, leaving out
+    the lowest levels so that the base is flat, cells half as large, cells twice as large.
 
     Args:
         tiling: that was refused or not found, with the cells that lack support.
@@ -95,8 +97,17 @@ def _trials(tiling: Tiling, kit: Kit, options: dict[str, Any]) -> Iterator[_Tria
     wanted = tiling.wanted
     width = options.get("gap")
     width = kit.joint_gap if width is None else width
+    if lacking := _lacking_for_props(tiling, kit):
+        more = ", ".join(f"{n} x {name}" for name, n in sorted(lacking.items()))
+        kinds = tuple(
+            replace(kind, count=kind.count + lacking[kind.name])
+            if kind.count is not None and kind.name in lacking
+            else kind
+            for kind in kit.kinds
+        )
+        yield f"with {more} more, for props, it stands", wanted, replace(kit, kinds=kinds), {}
     if np.max(width) > 0:
-        yield "it stands only with tight joints (gap 0)", wanted, kit, {"gap": 0.0}
+        yield "with tight joints (gap 0) it stands", wanted, kit, {"gap": 0.0}
     for name in kit_names():
         other = load_kit(name)
         if name != kit.name and other.joint.law == "dry":
@@ -107,9 +118,14 @@ def _trials(tiling: Tiling, kit: Kit, options: dict[str, Any]) -> Iterator[_Tria
         ("everything down to the table", np.argwhere(wanted)),
     ):
         filled = fill_below(wanted, under)
-        more = int(filled.sum() - wanted.sum())
-        if more:
-            yield f"with {what} filled ({more} cells more) it stands", filled, kit, {}
+        new = np.argwhere(filled & ~wanted)
+        if len(new):
+            spans = zip("xyz", new.min(0).tolist(), new.max(0).tolist(), strict=True)
+            where = ", ".join(
+                f"{axis} {a} to {b}" if a < b else f"{axis} {a}" for axis, a, b in spans
+            )
+            words = f"{len(new)} cells more, within {where}"
+            yield f"with {what} filled ({words}) it stands", filled, kit, {}
     for levels in range(1, MOST_CUT + 1):
         higher = wanted[:, :, levels:]
         if higher.any() and wanted[:, :, 0].sum() < 0.5 * higher[:, :, 0].sum():
@@ -130,6 +146,20 @@ def _trials(tiling: Tiling, kit: Kit, options: dict[str, Any]) -> Iterator[_Tria
     if coarser[:, :, 0].any() and min(wanted.shape[0], wanted.shape[2]) > 1:
         twice = replace(kit, pitch=tuple(2 * p for p in kit.pitch))
         yield "with cells twice as large it stands", coarser, twice, {}
+
+
+def _lacking_for_props(tiling: Tiling, kit: Kit) -> dict[str, int]:
+    """How many blocks of which kinds a heap has too few of for the props of a tiling; empty where
+    it has enough, and where no heap would do."""
+    if not kit.limited or tiling.missing:
+        return {}
+    structure = replace(tiling, placements=tuple(p for p in tiling.placements if not p.prop))
+    free = replace(kit, kinds=tuple(replace(kind, count=None) for kind in kit.kinds))
+    hanging = unsupported(structure, free)
+    props = choose_props(structure, free, {b: frozenset((b,)) for b in hanging})
+    used = Counter(block.kind for block in (*structure.placements, *(props or ())))
+    have = {kind.name: kind.count for kind in kit.kinds if kind.count is not None}
+    return {name: used[name] - n for name, n in have.items() if used[name] > n}
 
 
 def pool(wanted: np.ndarray) -> np.ndarray:

@@ -26,15 +26,15 @@ import numpy as np
 from learn2assemble.assembly.kit import Kit, orientations, parts_of
 from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import INF, Clock
-from learn2assemble.planning.tiling.candidates import (
-    BlockPlacement,
-    placement_cells,
-)
+from learn2assemble.planning.tiling.candidates import BlockPlacement, placement_cells
 from learn2assemble.planning.tiling.finished import (
     MAX_EXACT,
     MAX_ROUNDS,
     alike,
+    describe_cells,
     describe_lack,
+    in_blocks,
+    open_below,
     stand,
     stand_by_mortar,
     to_cells,
@@ -160,10 +160,13 @@ def _impossible(wanted: np.ndarray, kit: Kit) -> tuple[str, np.ndarray]:
                 what = f"a part of level {level}"
                 if len(at) > MAX_EXACT and (reason := _uneven(at, kit, what)):
                     return reason, np.insert(at, 2, level, axis=1)
-    heap = [kind.count for kind in kit.kinds]
-    most = sum(n * size for n, size in zip(heap, sizes, strict=True) if n is not None)
-    if None not in heap and most < len(cells):
-        return f"the heap of kit `{kit.name}` has {most} cells; the design has {len(cells)}", none
+    if kit.most_cells is not None and kit.most_cells < len(cells):
+        lacking = in_blocks(len(cells) - kit.most_cells, kit)
+        return (
+            f"the heap of kit `{kit.name}` has {kit.most_cells} cells; the design has "
+            f"{len(cells)}: it lacks at least {lacking}",
+            none,
+        )
     return "", none
 
 
@@ -439,7 +442,7 @@ def prop_and_order(
         props = choose_props(structure, kit, demands, clock.left, largest)
         if props is None and not tight:
             if ordering is None:
-                return _not_carried(structure, kit, [max(demands)], out_of_reach=True), None
+                return _not_carried(structure, kit, sorted(demands), props=demands), None
             break
         if props is None:
             demands = {}
@@ -471,16 +474,27 @@ def prop_and_order(
 
 
 def _not_carried(
-    structure: Tiling, kit: Kit, blocks: list[int], *, out_of_reach: bool = False
+    structure: Tiling,
+    kit: Kit,
+    blocks: list[int],
+    *,
+    props: dict[int, frozenset[int]] | None = None,
 ) -> Tiling:
     """The refusal of blocks that nothing holds while they are put down.
 
     Args:
-        out_of_reach: whether props are allowed, and none reaches the blocks.
+        props: what was asked of props (:func:`.props.choose_props`) where these are allowed, and
+            none were found.
     """
-    cells = uncarried_cells(structure.wanted, kit)
-    if not len(cells) or out_of_reach:
-        cells = np.concatenate([placement_cells(structure.placements[b], kit) for b in blocks])
-    why = "no prop reaches them" if out_of_reach else "props are not allowed"
-    reason = f"{describe_lack(kit, structure.wanted, cells)}, and {why}"
+    why, wanted = "props are not allowed", structure.wanted
+    if props is not None:
+        free = replace(kit, kinds=tuple(replace(kind, count=None) for kind in kit.kinds))
+        lacks = kit.limited and choose_props(structure, free, props) is not None
+        why = "the heap has too few blocks left for props" if lacks else "no prop reaches them"
+    cells = uncarried_cells(wanted, kit)
+    reason = describe_lack(kit, wanted, cells) if len(cells) else ""
+    if props is not None or not len(cells):
+        cells = open_below(wanted, [placement_cells(structure.placements[b], kit) for b in blocks])
+        reason = f"nothing below carries {describe_cells(wanted, cells)[0]}"
+    reason = f"{reason}, and {why}"
     return replace(structure, status="not found", reason=reason, lacking=to_cells(cells))

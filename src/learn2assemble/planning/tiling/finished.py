@@ -299,6 +299,18 @@ def uncarried_cells(wanted: np.ndarray, kit: Kit, least: float = FIRM) -> np.nda
     return np.argwhere(wanted & ~carried.reshape(wanted.shape))
 
 
+def open_below(wanted: np.ndarray, blocks: list[np.ndarray]) -> np.ndarray:
+    """int64[n, 3]: the cells of a design with nothing below them that hang together with such cells
+    of some blocks (int64[m, 3] each)."""
+    open_ = wanted.copy()
+    open_[:, :, 1:] &= ~wanted[:, :, :-1]
+    open_[:, :, 0] = False
+    of_blocks = np.zeros_like(wanted)
+    of_blocks[tuple(np.concatenate(blocks).T)] = True
+    parts = [part for part in parts_of(open_) if (part & of_blocks).any()]
+    return np.argwhere(np.logical_or.reduce(parts) if parts else of_blocks)
+
+
 def to_cells(cells: np.ndarray) -> tuple[Cell, ...]:
     """The rows of int64[n, 3], each once."""
     rows: list[list[int]] = cells.tolist()
@@ -311,6 +323,18 @@ def describe_lack(kit: Kit, wanted: np.ndarray, cells: np.ndarray) -> str:
     Args:
         cells: int[n, 3], not carried; the lowest group of neighbours is named.
     """
+    words, run, first = describe_cells(wanted, cells)
+    if run == 1:
+        return f"no block of kit `{kit.name}` carries the cell {first}"
+    return (
+        f"nothing below carries {words}, and no block of kit `{kit.name}` that stands by itself "
+        "reaches over them"
+    )
+
+
+def describe_cells(wanted: np.ndarray, cells: np.ndarray) -> tuple[str, int, Cell]:
+    """The lowest group of neighbours among int[n, 3] cells: in words, how many are in a row, and
+    the first of them."""
     level = int(cells[:, 2].min())
     mask = np.zeros(wanted.shape[:2], bool)
     mask[tuple(cells[cells[:, 2] == level, :2].T)] = True
@@ -318,9 +342,18 @@ def describe_lack(kit: Kit, wanted: np.ndarray, cells: np.ndarray) -> str:
     at = np.argwhere(group)
     run = int(max(group.sum(0).max(), group.sum(1).max()))
     first = (int(at[0, 0]), int(at[0, 1]), level)
-    if run == 1:
-        return f"no block of kit `{kit.name}` carries the cell {first}"
-    return (
-        f"nothing below carries {run} cells in a row at level {level} (the first is {first}), and "
-        f"no block of kit `{kit.name}` that stands by itself reaches over them"
-    )
+    words = f"{run} cells in a row at level {level} (the first is {first})"
+    return words if run > 1 else f"the cell {first}", run, first
+
+
+def in_blocks(cells: int, kit: Kit) -> str:
+    """The fewest blocks of ``kit`` that have so many cells, the largest first, in words."""
+    kinds = sorted(kit.kinds, key=lambda kind: -len(kind.cells))
+    found = dict[str, int]()
+    for kind in kinds:
+        last = kind is kinds[-1]
+        count = -(-cells // len(kind.cells)) if last else cells // len(kind.cells)
+        if count > 0:
+            found[kind.name] = count
+            cells -= count * len(kind.cells)
+    return " and ".join(f"{n} x {name}" for name, n in found.items())
