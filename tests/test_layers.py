@@ -57,7 +57,7 @@ ALLOWED: dict[str, set[str]] = {
     "envs": _PRODUCT | {"tasks", "workers"},
     "benchmark": _PRODUCT | {"tasks", "envs"},
     "cli": _PRODUCT
-    | {"cell", "jobs", "export", "viewer", "tasks", "envs", "benchmark", "__init__"},
+    | {"cell", "jobs", "export", "viewer", "tasks", "envs", "benchmark", "compiling", "__init__"},
     "__main__": {"cli", "errors"},
     "__init__": _PRODUCT | {"cell", "jobs", "export", "viewer", "tasks", "envs"},
 }

@@ -18,7 +18,7 @@ import pytest
 from numba import njit
 
 import learn2assemble as l2a
-from learn2assemble import linear_programs, progress
+from learn2assemble import compiling, linear_programs, progress
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell import carry_out
 from learn2assemble.cell.carry_out import Workcell
@@ -70,6 +70,34 @@ def test_compiling_uses_no_time_of_a_limit() -> None:
     assert compiled > 0.0
     assert 0.0 <= spent <= time.monotonic() - started - compiled
     assert still.spent == 0.0
+
+
+def test_compiling_is_told_with_the_time_it_is_part_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first run takes many times as long as the second one, and says why."""
+    assert compiling.spent_words(41.52, 37.9) == (
+        "41.5 s, of which 38 s compiling once for this machine"
+    )
+    assert compiling.spent_words(1.6, 0.4) == "1.6 s"
+    compiling_seconds(time.monotonic)  # From now on it is watched.
+    watched = compiling._watched()
+    beat = output.Heartbeat("choosing blocks", 60.0)
+    assert beat.words(beat.started + 5).startswith("l2a: choosing blocks ... 5 s, at most ")
+    monkeypatch.setitem(watched.spent, time.monotonic, 30.0)
+    assert beat.words(beat.started + 35).endswith("choosing blocks ... 35 s, at most 55 s left")
+    watched.begin()
+    try:
+        monkeypatch.setitem(watched._began, time.monotonic, time.monotonic() - 3)
+        assert "l2a: compiling, once for this machine ... " in beat.words(beat.started + 38)
+    finally:
+        watched.end()
+    told = list[str]()
+    monkeypatch.setattr(linear_programs, "EVERY", 0.0)
+    clock = Clock(60.0, progress=told.append)
+    monkeypatch.setitem(watched.spent, time.monotonic, watched.spent[time.monotonic] + 12.0)
+    clock.tell("level 2")
+    clock.tell("level 3")
+    assert "level 2 (compiled 12 s once for this machine; no limit counts it), at most " in told[0]
+    assert told[1].startswith("level 3, at most "), "it is told once"
 
 
 def told_of(monkeypatch: pytest.MonkeyPatch, wanted: np.ndarray, **options: object) -> list[str]:

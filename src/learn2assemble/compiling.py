@@ -11,6 +11,9 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
+TOLD = 1.0
+"""Compiling that took longer is told [s]."""
+
 
 class _Compiling:
     """The seconds that kernels took to be compiled so far, by each timer.
@@ -28,6 +31,11 @@ class _Compiling:
             self._began = {timer: timer() for timer in self.spent}
         self._depth += 1
 
+    @property
+    def now(self) -> float:
+        """Seconds for which something is being compiled right now; 0 where nothing is."""
+        return time.monotonic() - self._began[time.monotonic] if self._depth else 0.0
+
     def end(self) -> None:
         self._depth -= 1
         if self._depth == 0:
@@ -43,6 +51,26 @@ def compiling_seconds(timer: Callable[[], float]) -> float:
             other one no time passes.
     """
     return _watched().spent.get(timer, 0.0)
+
+
+def compiling_so_far() -> tuple[float, float]:
+    """Seconds by the clock in which kernels were compiled, and for which one is compiled right now;
+    nothing is loaded for it, so both are 0 until somebody has called :func:`compiling_seconds`."""
+    if not _watched.cache_info().currsize:
+        return 0.0, 0.0
+    now = _watched().now
+    return _watched().spent[time.monotonic] + now, now
+
+
+def spent_words(seconds: float, compiled: float) -> str:
+    """How long something took, e.g. ``41.5 s, of which 38 s compiling once for this machine``.
+
+    Args:
+        seconds: in all.
+        compiled: of these, in which kernels were compiled; a second or less is not told.
+    """
+    part = f", of which {min(compiled, seconds):.0f} s compiling once for this machine"
+    return f"{seconds:.1f} s" + part * (compiled > TOLD)
 
 
 @lru_cache(maxsize=1)

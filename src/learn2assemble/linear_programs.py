@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import highspy
 import numpy as np
 
-from learn2assemble.compiling import compiling_seconds
+from learn2assemble.compiling import TOLD, compiling_seconds
 from learn2assemble.errors import Learn2AssembleError
 from learn2assemble.progress import EVERY, Detail, Progress, silent
 
@@ -270,19 +270,30 @@ class Clock:
         self.progress = progress
         self._start = self._told = timer()
         self._compiling = compiling_seconds(timer)
+        self._told_compiling = 0.0
 
     def tell(self, what: str) -> None:
         """Say how far a phase has come and what time is left, but not too often."""
         now = self.timer()
         if now - self._told >= EVERY:
             self._told = now
+            compiled = self._compiled
+            if compiled > self._told_compiling + TOLD:
+                self._told_compiling = compiled
+                what = (
+                    f"{what} (compiled {compiled:.0f} s once for this machine; no limit counts it)"
+                )
             self.progress(Detail(what, self.left))
 
     @property
     def spent(self) -> float:
         """Seconds since the start."""
-        compiling = compiling_seconds(self.timer) - self._compiling
-        return self.timer() - self._start - compiling
+        return self.timer() - self._start - self._compiled
+
+    @property
+    def _compiled(self) -> float:
+        """Seconds of compiling since the start."""
+        return compiling_seconds(self.timer) - self._compiling
 
     @property
     def left(self) -> float:

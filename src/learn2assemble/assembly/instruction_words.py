@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from learn2assemble.assembly.appearance import millimetres
 from learn2assemble.assembly.blocks import Action
 from learn2assemble.assembly.instructions import (
     BillLine,
@@ -13,6 +14,8 @@ from learn2assemble.assembly.instructions import (
 )
 from learn2assemble.assembly.shapes import BlockShape
 
+DOT = " (the dot in pictures)"
+"""How cards and PDF show the corner 1 of a block that is told by it."""
 HEAD = ("Step", "Shape", "x", "y", "z", "Turn")
 """Of the table of what is placed, see :func:`placement_words`."""
 BILL_HEAD = (
@@ -34,12 +37,15 @@ CUT_HEAD = (
     "Top cut at",
 )
 """Of the list of posts to cut, see :func:`cut_words`."""
-HOW_TO_READ = (
+_HOW_TO_READ = (
     "All lengths are in millimetres from O, the front left lower corner of the finished structure: "
     "x to the right, y to the back, z up. x, y and z of a block are its front left lower corner "
     "(of the box round it). Turn: how the block is turned from the way its shape is drawn, about "
-    "x, then y, then z, counter-clockwise seen against the axis; 0 is not turned. Of a block that "
-    "leans, which is turned by other than 90° or 180°, x, y and z are those of its corner 1."
+    "x, then y, then z, counter-clockwise seen against the axis; 0 is not turned."
+)
+_CORNER = (
+    " Of a block that is turned by other than 90° or 180°, x, y and z are those of its corner 1, "
+    "which is the front left lower one before the block is turned"
 )
 _MOST_CORNERS = 100
 
@@ -75,7 +81,23 @@ def placement_words(placement: Placement) -> tuple[str, ...]:
 def place_words(placement: Placement) -> str:
     """How far a block is from O, e.g. ``300 mm to the right of O, 0 mm behind it``."""
     x, y, _ = (length_words(v) for v in placement.position)
-    return "its corner 1 " * placement.leans + f"{x} mm to the right of O, {y} mm behind it"
+    # A verb parts the two numbers, which would read as one.
+    return "corner 1 is " * placement.askew + f"{x} mm to the right of O, {y} mm behind it"
+
+
+def reading_words(told: Instructions, where: str = "") -> str:
+    """How the numbers of the steps are read.
+
+    Args:
+        told: the instructions; what is said of blocks turned askew stands only where there are any.
+        where: how pictures show the corner 1 of a block, if they do.
+    """
+    return _HOW_TO_READ + f"{_CORNER}{where}." * told.askew
+
+
+def kind_words(shape: BlockShape) -> str:
+    """What a shape is called beside its size: ``block`` where that is all that it is called by."""
+    return "block" if shape.kind == millimetres(*shape.size) else shape.kind
 
 
 def bill_words(line: BillLine) -> tuple[str, ...]:
@@ -84,7 +106,7 @@ def bill_words(line: BillLine) -> tuple[str, ...]:
     number = f"{line.built}" + f" + {line.standing} standing" * bool(line.standing)
     size, itself = extent_words(shape.nominal), extent_words(shape.size)
     props = str(line.props) if line.props else "–"
-    kind = f"{shape.kind}, {shape.colour}" if shape.asked else shape.kind
+    kind = kind_words(shape) + f", {shape.colour}" * shape.asked
     return (shape.letter, kind, number, props, size, itself, f"{shape.mass:.3g} kg")
 
 

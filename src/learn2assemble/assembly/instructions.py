@@ -56,8 +56,8 @@ class Placement:
     """Hours that one waits before it, until mortar holds."""
 
     @property
-    def leans(self) -> bool:
-        """Whether it is turned by other than quarters."""
+    def askew(self) -> bool:
+        """Whether it is turned by other than quarters, so that its corner 1 is told."""
         return any(angle % 90 for angle in self.turn)
 
 
@@ -127,6 +127,11 @@ class Instructions:
     start: tuple[Placement, ...]
     """What stands from the start."""
     groups: tuple[Group, ...]
+
+    @property
+    def askew(self) -> bool:
+        """Whether the corner 1 of any block is told."""
+        return any(p.askew for p in (*self.start, *self.placements))
 
     @property
     def in_order(self) -> bool:

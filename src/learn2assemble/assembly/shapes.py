@@ -99,7 +99,7 @@ class ToldPose(NamedTuple):
     shape: BlockShape
     position: tuple[float, float, float]
     """From O [m]: of a block that is turned by quarters, the front left lower corner of the box
-    round it; of a block that leans, its corner 1."""
+    round it; of a block that is turned otherwise, its corner 1."""
     turn: Turn
 
 
@@ -276,7 +276,8 @@ class _Match(NamedTuple):
 
     turn: Turn
     first: int | None
-    """Of a block that leans: its vertex at which the first corner of the shape lies."""
+    """Of a block that is turned by other than quarters: its vertex at which the first corner of the
+    shape lies."""
 
 
 def _turned(model: _KindShape, block: Block) -> _Match | None:

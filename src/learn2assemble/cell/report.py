@@ -307,6 +307,7 @@ def carried_out(
             "gap_range": (job.joint, job.joint),
         }
         ranges = ranges if whole else dict.fromkeys(ranges)
+        ranges["margin_friction"] = job.friction
     taken_by = [
         last[StepOf(k)][1] if StepOf(k) in last else arms[0] for k in range(len(job.pieces))
     ]

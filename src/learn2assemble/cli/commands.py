@@ -31,6 +31,7 @@ from learn2assemble.cli.parser import (
 )
 from learn2assemble.cli.running import COMMANDS as RUNNING
 from learn2assemble.cli.structures import COMMANDS as STRUCTURES
+from learn2assemble.compiling import compiling_so_far, spent_words
 from learn2assemble.errors import InputError, check_name, require
 from learn2assemble.files import check_exists, check_new, claim_folder
 from learn2assemble.registry import Registry
@@ -183,12 +184,20 @@ def _build(options: argparse.Namespace, output: Output) -> int:
             progress=output.progress,
             **reading_of(options),
         )
+        # Now, as pages and videos are drawn by kernels, too.
+        compiled, _ = compiling_so_far()
         output.phase("writing the files of the plan")
         files = plan.save(options.out, video=video, progress=output.progress)
         if state is not None and plan.complete:
             state.unlink(missing_ok=True)  # Everything is in the files of the plan now.
-    _print_plan(output, plan, files)
-    output.finish({**_summary(plan), "files": {k: str(v) for k, v in files.items()}})
+    _print_plan(output, plan, files, compiled)
+    output.finish(
+        {
+            **_summary(plan),
+            "compiling_s": round(compiled, 3),
+            "files": {k: str(v) for k, v in files.items()},
+        }
+    )
     return 0 if plan.complete else 1
 
 
@@ -272,6 +281,7 @@ def _summary(plan: Plan) -> dict[str, Any]:
         "proof_s": plan.proof_s,
         "seconds": plan.seconds,
         "margin_g": plan.margin_g,
+        "margin_friction": plan.margin_friction,
         "margin_n": min((s.margin_n for s in plan.steps if s.margin_n is not None), default=None),
         "friction_range": plan.friction_range,
         "gap_range": plan.gap_range,
@@ -314,14 +324,23 @@ def _counted(plan: Plan) -> list[tuple[str, str, int]]:
     return [(name, "prop" if prop else "", n) for (_, name, prop), n in sorted(counts.items())]
 
 
-def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
-    """Blocks by kind, then what was filled and what is proven."""
+def _print_plan(output: Output, plan: Plan, files: dict[str, Path], compiled: float = 0.0) -> None:
+    """Blocks by kind, then what was filled and what is proven.
+
+    Args:
+        output: for people.
+        plan: what came of it.
+        files: which file is what.
+        compiled: seconds of planning in which kernels were compiled.
+    """
+    from learn2assemble.viewer.words import weakest_words
+
     output.table(plan.design.name, ("block", "", "number"), _counted(plan))
     number = f"{plan.blocks.used} blocks, {len(plan.steps)} steps"
     status = plan.status
     if found := plan.not_placed:
         status, number = f"{status} by the arm", f"{found} blocks found, none placed"
-    output.say(f"{status}: {number}, {plan.planner} planner, {plan.seconds:.1f} s")
+    output.say(f"{status}: {number}, {plan.planner} planner, {spent_words(plan.seconds, compiled)}")
     if helped := _hands_of(plan):
         output.say(f"hands: {', '.join(helped)}")
     for stage in plan.search.attempts if plan.search else ():
@@ -349,7 +368,7 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
         output.say(f"{made.kept} blocks stay, {made.taken} are taken away, {made.placed} placed")
     if plan.steps and plan.margin_g is not None:
         left = plan.without_margin
-        output.say(f"every step is proven; the weakest withstands {plan.margin_g:.3f} g sideways")
+        output.paragraph(f"every step is proven; the weakest is {weakest_words(plan)}")
         if left:
             output.say(f"{left} of {len(plan.steps)} steps are without a computed margin")
     proven = plan.proven_for

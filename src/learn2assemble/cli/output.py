@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from learn2assemble.compiling import compiling_so_far
 from learn2assemble.errors import as_options
 from learn2assemble.files import printable, write_file
 from learn2assemble.progress import Detail
@@ -73,8 +74,11 @@ class Heartbeat:
     def words(self, now: float) -> str:
         """The line at a time of the monotonic clock."""
         spent = now - self.started
-        left = "" if self.limit is None else f", at most {max(self.limit - spent, 0):.0f} s left"
-        return f"l2a: {self.phase} ... {spent:.0f} s{left}"
+        compiled, compiling = compiling_so_far()
+        used = max(spent - compiled, 0.0)  # No limit counts compiling.
+        left = "" if self.limit is None else f", at most {max(self.limit - used, 0):.0f} s left"
+        phase = "compiling, once for this machine" if compiling > 0.2 else self.phase
+        return f"l2a: {phase} ... {spent:.0f} s{left}"
 
     def _beat(self) -> None:
         while not self._done.wait(0.5):

@@ -10,7 +10,7 @@ import numpy as np
 
 from learn2assemble.assembly.appearance import rgb
 from learn2assemble.assembly.blocks import Assembly
-from learn2assemble.assembly.instruction_words import BILL_HEAD, CUT_HEAD, HEAD, HOW_TO_READ
+from learn2assemble.assembly.instruction_words import BILL_HEAD, CUT_HEAD, DOT, HEAD, reading_words
 from learn2assemble.export import asset
 from learn2assemble.export.pictures import (
     Booklet,
@@ -56,7 +56,7 @@ def step_cards(assembly: Assembly) -> str:
         symbols=pen.symbols(),
         cover=cover,
         facts="".join(f"<li>{escape(fact)}</li>" for fact in book.facts),
-        read=escape(HOW_TO_READ),
+        read=escape(reading_words(book.told, DOT)),
         bill=_table(BILL_HEAD, book.bill, "bill"),
         shapes=shapes,
         cuts=cuts and f"<h2>Posts to cut</h2><div class='wide'>{cuts}</div>",
@@ -150,6 +150,11 @@ class _CardPen:
             )
         for start, end in picture.arrows:
             parts.append(f'<path class=a d="{self._arrow(start, end, font)}"/>')
+        for point in picture.dots:
+            x, y = point * (self.unit, -self.unit)
+            parts.append(
+                f'<circle class=o cx="{_short(x)}" cy="{_short(y)}" r="{_short(0.28 * font)}"/>'
+            )
         for point, text in picture.labels:
             x, y = point * (self.unit, -self.unit)
             parts.append(f'<text x="{_short(x)}" y="{_short(y - 0.2 * font)}">{text}</text>')

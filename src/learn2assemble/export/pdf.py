@@ -9,7 +9,7 @@ import numpy as np
 
 from learn2assemble.assembly.appearance import rgb
 from learn2assemble.assembly.blocks import Assembly
-from learn2assemble.assembly.instruction_words import BILL_HEAD, CUT_HEAD, HEAD, HOW_TO_READ
+from learn2assemble.assembly.instruction_words import BILL_HEAD, CUT_HEAD, DOT, HEAD, reading_words
 from learn2assemble.export.pictures import (
     Booklet,
     Card,
@@ -196,7 +196,7 @@ class _Pages:
             self._heading("Posts to cut")
             self._table(CUT_HEAD, self.book.cuts, _CUT_TABS)
         self._heading("How to read the steps")
-        self._paragraph(HOW_TO_READ)
+        self._paragraph(reading_words(self.book.told, DOT))
         if self.book.start:
             self._heading("Stands from the start")
             self._table(HEAD, self.book.start, _TABS)
@@ -295,6 +295,9 @@ class _Pages:
         canvas.restoreState()
         for start, end in picture.arrows:
             self._arrow(start * scale + shift, end * scale + shift)
+        for point in picture.dots:
+            canvas.setFillColorRGB(*_MARK)
+            canvas.circle(*(point * scale + shift), 1.8, stroke=0, fill=1)
         for point, text in picture.labels:
             px, py = point * scale + shift
             self._write(px, py + 2, text, 7, _MARK, "middle", bold=True)

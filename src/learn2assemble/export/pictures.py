@@ -36,6 +36,8 @@ _WAYS = np.array([(0, 0, 1), (0, -1, 0), (-1, 0, 0), (1, 0, 0), (0, 1, 0)], floa
 """Directions in which a prop comes and is taken away, those seen best first."""
 _MOST_LARGER = 8.0
 """Shapes that are so many times as large as the smallest have a scale of their own."""
+_MOST_LARGER_OF_NUMBERED = 3.0
+"""The same where corners have numbers, which overlap in a small picture."""
 _UP = np.array([0.0, 1.0])
 """In the drawing."""
 
@@ -89,6 +91,8 @@ class Picture:
     within: tuple[float, float] | None = None
     """Width and height of what holds any picture of the same scale [m]; None where a picture has a
     scale of its own."""
+    dots: tuple[np.ndarray, ...] = ()
+    """float64[2] each: corner 1 of every block that is told by it."""
 
     @property
     def size(self) -> np.ndarray:
@@ -207,7 +211,9 @@ def _card(common: _Common, group: Group, standing: set[int]) -> Card:
     told, scene, spacing, whole, layers, until, grids = common
     shown, all_ = scene.shown(group, standing)
     marks: dict[int, Mark] = dict.fromkeys(group.in_hands, "held")
-    colours = dict.fromkeys(group.in_hands, "held")
+    # What stands is grey, but for props, which go again: they have one colour everywhere.
+    colours = dict.fromkeys((k for k in shown if told.assembly.blocks[k].prop), "prop")
+    colours |= dict.fromkeys(group.in_hands, "held")
     for p in group.placements:
         if p.action == "place":
             # What is new keeps its colour, and in a hand the outline of what is held.
@@ -232,7 +238,8 @@ def _card(common: _Common, group: Group, standing: set[int]) -> Card:
         low = np.floor(scene.low[members].min(0) / wide) * wide
         high = np.ceil(scene.high[members].max(0) / wide) * wide
         low[:2] = np.maximum(low[:2], 0)
-        high[:2] = np.minimum(high[:2], np.ceil(told.extent[:2] / spacing - 1e-6) * spacing)
+        high[0] = min(high[0], np.ceil(told.extent[0] / spacing - 1e-6) * spacing)
+        high[1] = min(high[1], told.extent[1])
         level = float(scene.low[members][:, 2].min())
         key = (*low[:2].round(6), *high[:2].round(6), round(level, 6))
         if key not in grids:
@@ -276,6 +283,8 @@ def _card(common: _Common, group: Group, standing: set[int]) -> Card:
         told_of.add(p.block)
     wanted = tuple(f"{count} × {shape.letter} ({shape.kind})" for shape, count in group.wanted)
     picture = _picture(scene, uses, grid, outlines, tuple(arrows), tuple(labels), place)
+    dots = tuple(project(np.array(p.position)) for p in group.placements if p.askew)
+    picture = replace(picture, dots=dots)
     if not all_:
         [picture] = _framed([picture])
     words = _words(told, group, layers, until)
@@ -385,6 +394,8 @@ def _shape_pictures(told: Instructions, scene: DrawnScene) -> list[tuple[BlockSh
     """Every shape as it is when it is not turned, with the numbers of its corners where it is no
     box; all at one scale, but for those that are far larger than the smallest."""
     found = list[tuple[BlockShape, Picture]]()
+    askew = {p.shape.letter for p in (*told.start, *told.placements) if p.askew}
+    most = _MOST_LARGER
     for shape in (line.shape for line in told.bill):
         block = Block(shape.letter, shape.corners, shape.faces)
         alone = DrawnScene(instructions(Assembly((block,), joint=told.assembly.joint)))
@@ -393,10 +404,13 @@ def _shape_pictures(told: Instructions, scene: DrawnScene) -> list[tuple[BlockSh
         if not shape.is_box and len(shape.corners) <= 12:
             corners = shape.corners - shape.corners.min(0)
             labels = tuple((project(c), str(k)) for k, c in enumerate(corners, 1))
+            most = _MOST_LARGER_OF_NUMBERED
         [picture] = _framed([_picture(scene, uses, Grid((), ()), labels=labels)])
-        found.append((shape, replace(picture, within=None)))
+        first = project(shape.corners[0] - shape.corners.min(0))
+        dots = (first,) if shape.letter in askew and not labels else ()
+        found.append((shape, replace(picture, within=None, dots=dots)))
     sizes = np.array([picture.size for _, picture in found])
-    near = sizes.max(1, initial=0.0) <= _MOST_LARGER * sizes.max(1, initial=0.0).min(initial=np.inf)
+    near = sizes.max(1, initial=0.0) <= most * sizes.max(1, initial=0.0).min(initial=np.inf)
     if not near.any():
         return found
     width, height = sizes[near].max(0).tolist()
@@ -419,18 +433,31 @@ def _spacing(told: Instructions, usual: float) -> float:
     return float(next(k * power for k in (1, 2, 5, 10) if k * power >= wanted * (1 - 1e-9)))
 
 
+def _depth_step(step: float, depth: float) -> float:
+    """The distance of lines from front to back [m]: that of the others, or a smaller one where the
+    last line would lie well behind ``depth``, as what stands hides that it does."""
+    for _ in range(3):
+        if math.ceil(depth / step - 1e-6) * step <= 1.1 * depth:
+            break
+        leading = round(step / 10.0 ** math.floor(math.log10(step) + 1e-9))
+        step /= 2.5 if leading == 5 else 2.0
+    return step
+
+
 def _grid(
     low: tuple[float, ...], high: tuple[float, ...], level: float, step: float, height: float
 ) -> Grid:
     """Lines every ``step`` on a level, with distances at the front and left; of a height [m] also
     a scale of heights at the back left."""
+    steps = (step, _depth_step(step, high[1]))
     xs, ys = (
-        np.arange(math.floor(low[k] / step + 1e-6), math.ceil(high[k] / step - 1e-6) + 1) * step
-        for k in range(2)
+        np.arange(math.floor(low[k] / every + 1e-6), math.ceil(high[k] / every - 1e-6) + 1) * every
+        for k, every in enumerate(steps)
     )
     ends = [(x, ys[0], x, ys[-1]) for x in xs] + [(xs[0], y, xs[-1], y) for y in ys]
     lines = [project(np.array([(a, b, level), (c, d, level)])) for a, b, c, d in ends]
     every_x, every_y = -(-(len(xs) - 1) // 5) or 1, -(-(len(ys) - 1) // 3) or 1
+    every_y = max(every_y, math.ceil(steps[0] / steps[1] - 1e-6))
     front, side = xs[::-every_x].tolist(), ys[:0:-every_y].tolist()
     labels = [
         (project(np.array([x, ys[0], level])), "x " * (x == front[0]) + length_words(x), "below")

@@ -49,6 +49,7 @@ from learn2assemble.jobs.problems import NO_ARM, PROBLEMS
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.planners import EXACT, PLANNERS, PlannerChoice
 from learn2assemble.robot.registry import ARMS
+from learn2assemble.statics.proofs import Bounds, value_range
 
 if TYPE_CHECKING:
     from learn2assemble.cell.reach import ReachReport
@@ -223,7 +224,7 @@ def build(
     check_asked(found, kit, help_, choice.name)
     how = None if how is None else how.read(found, kit)
     if how is not None and how.several:
-        return team_plan(found, kit, how, help_, choice, given)
+        return _with_friction(team_plan(found, kit, how, help_, choice, given), friction)
     workcell = None if how is None else how.workcell(has_studs(found, kit))
     if isinstance(found, CellDesign):
         kit = kit_of(found, kit)
@@ -232,7 +233,7 @@ def build(
             kits = _kits_from(kit, standing)
             given["seconds"] = limit / len(kits)
             tried = [cells_plan(found, one, None, props, choice, given) for one in kits]
-            return _rebuilt(standing, tried, limit, progress)
+            return _with_friction(_rebuilt(standing, tried, limit, progress), friction)
         if kit.joint.law == "clutch":
             plan = bricks_plan(found, kit, workcell, help_, choice, given)
         else:
@@ -242,7 +243,8 @@ def build(
     else:
         plan = blocks_plan(found, workcell, help_, given)
         plan = replace(plan, design=replace(plan.design, source=source))
-    return plan if standing is None else _rebuilt(standing, [plan], limit, progress)
+    plan = plan if standing is None else _rebuilt(standing, [plan], limit, progress)
+    return _with_friction(plan, friction)
 
 
 def reach(
@@ -386,6 +388,15 @@ def _rebuilt(
         found,
         key=lambda plan: (not plan.complete, 0 if plan.rebuilt is None else plan.rebuilt.moves),
     )
+
+
+def _with_friction(plan: Plan, asked: Bounds) -> Plan:
+    """The plan, which says for what friction its margins are: the least that was asked for, where
+    the margins of its own states were not proven for another one."""
+    if plan.assembly is None or plan.margin_friction is not None:
+        return plan
+    least = value_range(asked, plan.assembly.friction, "friction")[0]
+    return replace(plan, margin_friction=round(least, 6))
 
 
 def _refuse(given: Mapping[str, Any], expected: str) -> None:

@@ -271,6 +271,8 @@ class Plan:
     """Coefficients of friction for which every step is proven to stand."""
     gap_range: tuple[Metre, Metre] | None = None
     """Widths of vertical joints for which every step is proven to stand."""
+    margin_friction: Bound | None = None
+    """The coefficient of friction that margins are for: the least that was asked for."""
     rebuilt: RebuildReport | None = None
     """Where the steps begin at a structure that stands already."""
     arm: ArmReport | None = None

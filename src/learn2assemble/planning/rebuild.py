@@ -150,6 +150,7 @@ def rebuild(
         planner=plan.planner,
         cells=plan.cells,
         rebuilt=report,
+        margin_friction=whole.friction,
     )
 
 

@@ -98,11 +98,16 @@ def row(cells: Iterable[str], attributes: Mapping[int, str], key: str = "", labe
     return f"<tr{key and f' {key}'}>{inner}</tr>"
 
 
+def prose(text: str) -> str:
+    """Words as HTML, in which what stands between backticks, such as the name of a kit, is code."""
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text))
+
+
 def fact_list(facts: Iterable[tuple[str, str]]) -> str:
     """Name and value of each fact, for the head of a page."""
     return "".join(
         f'<div><dt>{escape(name)}</dt><dd><span class="{"figure" if len(value) < 9 else "words"}">'
-        f"{escape(value)}</span><small></small></dd></div>"
+        f"{prose(value)}</span><small></small></dd></div>"
         for name, value in facts
     )
 

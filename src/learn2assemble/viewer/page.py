@@ -16,7 +16,7 @@ import numpy as np
 from learn2assemble.assembly.appearance import has_leaning_face
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import Contacts
-from learn2assemble.assembly.instruction_words import HOW_TO_READ, count_words, length_words
+from learn2assemble.assembly.instruction_words import count_words, length_words, reading_words
 from learn2assemble.assembly.instructions import Instructions, instructions
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError, as_both
@@ -34,7 +34,7 @@ from learn2assemble.viewer.arm import (
     standing_data,
 )
 from learn2assemble.viewer.errors import error_section
-from learn2assemble.viewer.html import fact_list, speed_options, stand_alone
+from learn2assemble.viewer.html import fact_list, prose, speed_options, stand_alone
 from learn2assemble.viewer.places import place_section
 from learn2assemble.viewer.playback import Playback
 from learn2assemble.viewer.scene import SEEN_FROM_BEHIND, Mark, ScenePart, cell_labels
@@ -42,10 +42,12 @@ from learn2assemble.viewer.tables import StepNote
 from learn2assemble.viewer.words import (
     BLAME_WORDS,
     arm_summary,
+    friction_words,
     percent,
     placement,
     proof_words,
     sentence,
+    weakest_words,
 )
 
 if TYPE_CHECKING:
@@ -145,6 +147,7 @@ def render_assembly_page(
     page = {
         **_head(title, verdict, plan),
         **_build(told, noted, parts, data),
+        "at_friction": "" if plan is None else friction_words(plan),
         "legend": tables.legend(parts, marks)
         + tables.entry("unbuilt", "not built") * bool(assembly.not_built)
         + _target_legend(plan),
@@ -154,7 +157,8 @@ def render_assembly_page(
     }
     asked = plan is not None and not plan.complete and not steps
     low, high = _corners(parts)
-    words = tables.summary(assembly, _once(parts), high - low)
+    least = None if plan is None else plan.margin_friction
+    words = tables.summary(assembly, _once(parts), high - low, least)
     page["summary"] = escape(f"Nothing is built. The design as blocks: {words}" if asked else words)
     page["show_title"] = (
         "The build" if steps else "What was asked for" if asked else "The structure"
@@ -183,7 +187,9 @@ def render_assembly_page(
         if data["arm"]["truth"] is not None:
             words = "where a block really is, errors {} times as large"
             page["legend"] += tables.entry("truth", words.format(data["arm"]["truth"]["scale"]))
-        page["attempts"] = place_section(playback, told.origin)
+        page["attempts"] = place_section(
+            playback, told.origin, "" if plan.arm is None else plan.arm.planed_words
+        )
         page["attempts"] += arm_section(playback, labels.names)
         page["attempts"] += error_section(playback, labels.names)
         scripts = (*_SCRIPTS[:-1], "arm.js", _SCRIPTS[-1])
@@ -199,7 +205,7 @@ def _head(title: str, verdict: Verdict, plan: Plan | None) -> dict[str, str]:
     """What stands above and below everything else on any page."""
     status, reason, _ = verdict
     tone = f' <span class="status {TONES.get(status, "warn")}">{escape(status)}</span>'
-    words = [f"<p>{escape(text)}</p>" for text in (sentence(reason), *_blame_sentences(plan))]
+    words = [f"<p>{prose(text)}</p>" for text in (sentence(reason), *_blame_sentences(plan))]
     page = {
         "title": escape(title),
         "eyebrow": "Assembly" + tone * bool(status),
@@ -249,7 +255,7 @@ def _build(
         "corners": tables.corners(told),
         "cuts": tables.cuts(told),
         "joint": joint * bool(told.joint),
-        "how_to_read": escape(HOW_TO_READ),
+        "how_to_read": escape(reading_words(told)),
         "step_head": head,
         "steps": rows,
     }
@@ -376,7 +382,8 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
     if plan.design.note:
         facts.append(("reading", plan.design.note))
     if plan.margin_g is not None:
-        facts.append(("weakest step withstands", _weakest(plan)))
+        facts.append(("weakest step", weakest_words(plan)))
+        facts.append(("least push withstood", _least_push(plan)))
     if plan.margin_g is not None and (left := plan.without_margin):
         facts.append(("push not computed", f"{left} of {len(plan.steps)} steps"))
     facts += [(f"proven for {what}", words) for what, words in plan.proven_for.items()]
@@ -394,18 +401,25 @@ def _who(plan: Plan, name: str) -> str:
     return f"{name} ({count_words(steps, 'step')})"
 
 
-def _weakest(plan: Plan) -> str:
-    """The push that is withstood after the weakest step."""
-    step = min((s for s in plan.steps if s.margin_g is not None), key=lambda s: s.margin_g or 0.0)
-    margin = step.margin_g or 0.0
-    if plan.assembly is None or margin >= LARGEST:
-        return f"{margin:.3f} g sideways"
-    there = dict(zip((b.id for b in plan.assembly.blocks), plan.assembly.at_first, strict=True))
-    for done in plan.assembly.steps[: step.step]:
-        there[done.block] = done.action != "remove"
-    mass = sum(b.mass for b in plan.assembly.blocks if there[b.id] and not b.support)
-    push = margin * mass * GRAVITY
-    return f"a sideways push of {push:.2g} N ({margin:.3f} g)"
+def _least_push(plan: Plan) -> str | None:
+    """The smallest sideways push that is withstood after any step, and the step it belongs to: not
+    always the weakest one, as a push of so many g is one of fewer newtons where less stands."""
+    if plan.assembly is None:
+        return None
+    blocks = plan.assembly.blocks
+    mass = {block.id: 0.0 if block.support else block.mass for block in blocks}
+    total = sum(
+        mass[b.id] for b, first in zip(blocks, plan.assembly.at_first, strict=True) if first
+    )
+    pushes = list[tuple[float, int]]()
+    for done, step in zip(plan.assembly.steps, plan.steps, strict=True):
+        total += mass[done.block] * {"place": 1, "remove": -1}.get(done.action, 0)
+        if step.margin_g is not None and step.margin_g < LARGEST:
+            pushes.append((step.margin_g * total * GRAVITY, step.step))
+    if not pushes:
+        return None
+    push, number = min(pushes)
+    return f"{push:.2g} N sideways, after step {number}"
 
 
 def _page_of_nothing(plan: Plan) -> str:

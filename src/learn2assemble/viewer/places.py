@@ -28,12 +28,13 @@ _HEAD = (
 _NUMBERS = (2, 4, 5, 6, 7, 8)
 
 
-def place_section(playback: Playback, origin: np.ndarray) -> str:
+def place_section(playback: Playback, origin: np.ndarray, planed: str = "") -> str:
     """The table of places with its heading; nothing where no block is taken from a place.
 
     Args:
         playback: of all arms.
         origin: float64[3]: the point O of the instructions in the world [m].
+        planed: what has to be done to some props before, in words.
     """
     several, found = len(playback.arms) > 1, supplied(playback.record)
     rows, refills = list[str](), sum(place.refills for place in found.places)
@@ -61,6 +62,7 @@ def place_section(playback: Playback, origin: np.ndarray) -> str:
         " A place that is refilled holds one block at a time: whoever refills it, a feeder or a "
         "person, lays the next one there before the step that takes it."
     ) * bool(refills)
+    lead += f" {escape(planed)}." * bool(planed)
     return (
         '<section class="attempts places" aria-labelledby="places-title"><h2 id="places-title">'
         f'Where blocks are taken from</h2><p class="lead">{lead}</p>'

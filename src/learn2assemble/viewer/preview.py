@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from learn2assemble.design.cells import CellDesign
 
 SIDE, MARGIN, HEAD, FOOT = 420, 30, 96, 60
-"""Of a panel and round it, and heights above and below all panels [px]."""
+"""The longest side of the design, what is between panels, and heights above and below all [px]."""
 _PAPER, _INK, _SOFT, _GRID = "#fbfaf8", "#1f2429", "#5a636d", "#dcd8d0"
 _CELL, _DRAWN = "#ecca90", "#0b7285"
 
@@ -80,24 +81,35 @@ def draw(design: CellDesign) -> bytes:
 
     size = np.array(design.wanted.shape) * design.cell
     scale = SIDE / float(size.max())
-    wide = len(VIEWS) * (SIDE + MARGIN) + MARGIN
-    image = Image.new("RGB", (wide, HEAD + SIDE + MARGIN + FOOT), _PAPER)
-    pen = ImageDraw.Draw(image)
     # Pillow's own font lacks the letters of many names.
     font = Path(matplotlib.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")
     large, small = (ImageFont.truetype(str(font), size) for size in (18, 13))
+    layers = [busiest(design.wanted, view.through) for view in VIEWS]
+    below = [
+        f"{view.name}: layer {layer + 1} of {design.wanted.shape[view.through]} "
+        f"in {'xyz'[view.through]}"
+        for view, layer in zip(VIEWS, layers, strict=True)
+    ]
+    # Panels are as large as what they show, and no narrower than the words below them.
+    widths = [
+        math.ceil(max(size[view.across] * scale, small.getlength(words)))
+        for view, words in zip(VIEWS, below, strict=True)
+    ]
+    tall = math.ceil(max(size[view.up] for view in VIEWS) * scale)
+    heads = [large.getlength(design.name), *map(small.getlength, _words(design))]
+    wide = max(sum(widths) + MARGIN * len(VIEWS), math.ceil(max(heads)) + MARGIN) + MARGIN
+    image = Image.new("RGB", (wide, HEAD + tall + MARGIN + FOOT), _PAPER)
+    pen = ImageDraw.Draw(image)
     pen.text((MARGIN, 14), design.name, fill=_INK, font=large)
     for k, words in enumerate(_words(design)):
         pen.text((MARGIN, 42 + 20 * k), words, fill=_SOFT, font=small)
-    for k, view in enumerate(VIEWS):
-        left, bottom = MARGIN + k * (SIDE + MARGIN), HEAD + MARGIN + SIDE - 6
-        layer = busiest(design.wanted, view.through)
+    left, bottom = MARGIN, HEAD + MARGIN + tall - 6
+    for view, layer, words, width in zip(VIEWS, layers, below, widths, strict=True):
         _panel(pen, design, view, layer, (left, bottom), scale)
-        at = "xyz"[view.through]
-        words = f"{view.name}: layer {layer + 1} of {design.wanted.shape[view.through]} in {at}"
         pen.text((left, bottom + 6), words, fill=_INK, font=small)
+        left += width + MARGIN
     bar = _round_length(float(size.max()) / 3)
-    end, y = MARGIN + bar * scale, HEAD + MARGIN + SIDE + 36
+    end, y = MARGIN + bar * scale, bottom + 42
     pen.line([(MARGIN, y - 5), (MARGIN, y), (end, y), (end, y - 5)], fill=_INK, width=2)
     pen.text((end + 8, y - 12), millimetres(bar), fill=_INK, font=small)
     out = io.BytesIO()

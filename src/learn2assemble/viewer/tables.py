@@ -23,6 +23,7 @@ from learn2assemble.assembly.instruction_words import (
     count_words,
     cut_list,
     extent_words,
+    kind_words,
     name_words,
     place_words,
     placement_words,
@@ -31,7 +32,7 @@ from learn2assemble.assembly.instruction_words import (
 from learn2assemble.assembly.instructions import Instructions, Placement
 from learn2assemble.constants import GRAVITY
 from learn2assemble.planning.plan import LARGEST, SearchStage
-from learn2assemble.viewer.html import NUMBER, row
+from learn2assemble.viewer.html import NUMBER, prose, row
 from learn2assemble.viewer.scene import Mark, ScenePart
 from learn2assemble.viewer.words import percent
 
@@ -174,8 +175,20 @@ def noted_steps(
     return found
 
 
-def summary(assembly: Assembly, parts: Sequence[ScenePart], extent: np.ndarray) -> str:
-    """How much there is, in one line; ``extent`` float64[3] of all of it [m]."""
+def summary(
+    assembly: Assembly,
+    parts: Sequence[ScenePart],
+    extent: np.ndarray,
+    friction: float | None = None,
+) -> str:
+    """How much there is, in one line.
+
+    Args:
+        assembly: what stands.
+        parts: one stay of every block.
+        extent: float64[3], of all of it [m].
+        friction: for which it is proven, where that is not the assembly's own.
+    """
     props = sum(part.block.prop for part in parts)
     supports = sum(part.block.support for part in parts)
     gone = sum(bool(part.removed) and not part.block.prop for part in parts)
@@ -185,7 +198,8 @@ def summary(assembly: Assembly, parts: Sequence[ScenePart], extent: np.ndarray) 
     words += [count_words(supports, "fixed support")] if supports else []
     words += [count_words(len(assembly.steps), "step")] if assembly.steps else []
     words += [f"{len(assembly.not_built)} not built"] if assembly.not_built else []
-    return ", ".join([*words, f"friction {assembly.friction:g}"]) + "."
+    mu = assembly.friction if friction is None else friction
+    return ", ".join([*words, f"friction {mu:g}"]) + "."
 
 
 def step_table(steps: Sequence[Noted]) -> tuple[str, str]:
@@ -218,7 +232,8 @@ def _row(step: Noted, covered: bool, more: bool) -> str:
         y,
         z,
         turn,
-        escape(part.kind) + ' <span class="tag">prop</span>' * part.block.prop,
+        escape(kind_words(step.placement.shape))
+        + ' <span class="tag">prop</span>' * part.block.prop,
         extent_words(step.placement.shape.nominal),
         str(part.layer + 1),
         escape(part.block.id),
@@ -329,7 +344,7 @@ def entry(name: str, words: str) -> str:
 def tried(stages: Sequence[SearchStage]) -> str:
     """What the planner tried, as a table; nothing where it tried nothing."""
     rows = "".join(
-        row([escape(item.stage), escape(item.result), f"{item.seconds:.2f} s"], {2: NUMBER})
+        row([prose(item.stage), prose(item.result), f"{item.seconds:.2f} s"], {2: NUMBER})
         for item in stages
     )
     head = f"<tr><th>Stage</th><th>Result</th><th {NUMBER}>Time</th></tr>"

@@ -250,8 +250,14 @@ class Frames:
             colour[PARTS + k] = 255 * np.array(part.colour)
         moved = {cell for one in self.playback.active_at(clock) for cell in one.step.cells}
         for cell in range(self.playback.record.num_cells):
-            own = rgb(self.labels.colours[cell])
-            if self.labels.fixed[cell] or self.placed_by.get(cell, np.inf) < segment.step.number:
+            name = self.labels.colours[cell]
+            own = rgb(name)
+            # A prop stands without a last place of its own: it has its colour all the time.
+            if (
+                self.labels.fixed[cell]
+                or name == "prop"
+                or self.placed_by.get(cell, np.inf) < segment.step.number
+            ):
                 colour[self.cells + cell] = own
             if cell in moved and 0 < clock < self.playback.duration:
                 colour[self.cells + cell] = rgb("current")

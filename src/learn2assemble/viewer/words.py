@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from learn2assemble.motion.record import BuildRecord, Stage, StepRecord
-from learn2assemble.planning.plan import Step
+from learn2assemble.planning.plan import LARGEST, Plan, Step
 from learn2assemble.robot.moves import Outcome
 
 _RELATIONS = {
@@ -46,6 +46,22 @@ def proof_words(proof: str, leaning: bool) -> str:
     if proof == BED and leaning:
         return "joints that weight presses"
     return proof
+
+
+def weakest_words(plan: Plan) -> str:
+    """The step with the smallest margin, the first of several, with what that margin is for, e.g.
+    ``step 79: 0.082 g sideways at friction 0.6``; empty where no margin is known."""
+    known = [(s.margin_g, s.step) for s in plan.steps if s.margin_g is not None]
+    if not known:
+        return ""
+    margin, step = min(known)
+    worth = "any push" if margin >= LARGEST else f"{margin:.3f} g sideways"
+    return f"step {step}: {worth}{friction_words(plan)}"
+
+
+def friction_words(plan: Plan) -> str:
+    """The friction that margins are for, e.g. `` at friction 0.5``; empty where it is not known."""
+    return "" if plan.margin_friction is None else f" at friction {plan.margin_friction:g}"
 
 
 BLAME_WORDS = {

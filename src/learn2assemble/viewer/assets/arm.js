@@ -180,7 +180,8 @@ function createArm(data, tools) {
     const { fixed, kind } = arm.cells[cell];
     if (fixed) return kind;
     if (moved.has(cell) && now > 0) return "current";
-    return owner.has(cell) && owner.get(cell) < k ? kind : "waiting";
+    // A prop stands without a last place of its own: it has its colour all the time.
+    return kind === "prop" || owner.has(cell) && owner.get(cell) < k ? kind : "waiting";
   }
 
   function outline(cell) {
