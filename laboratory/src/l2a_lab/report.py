@@ -221,21 +221,19 @@ def against_paper(data: TableData, condition: Condition) -> list[str]:
     missed: list[str] = []
     for line in zip(*data.entries, strict=True):
         best = next((entry for entry in line if entry.row.policy == LOOK_AHEAD), None)
-        seen: list[dict[str, str]] = []
+        seen: set[tuple[str, Published]] = set()
         for entry in line:
-            own = _opponent(line, entry, condition)
-            if (
-                own is None
-                or entry.paper is None
-                or entry.paper.R is None
-                or entry.row.paper in seen
-            ):
+            own, paper = _opponent(line, entry, condition), entry.paper
+            if own is None or paper is None or paper.R is None:
                 continue
-            seen.append(entry.row.paper)
-            lacking.append(_lacking(entry.paper, own))
+            number = entry.row.paper.get("method", ""), paper
+            if number in seen:
+                continue
+            seen.add(number)
+            lacking.append(_lacking(paper, own))
             hard = set[str]()
             if best is not None and condition in best.results and not entry.row.budget:
-                hard = _lacking(entry.paper, best.results[condition])
+                hard = _lacking(paper, best.results[condition])
             if lacking[-1]:
                 names = (f"{name}{HARD * (name in hard)}" for name in sorted(lacking[-1]))
                 missed.append(f"{entry.row.label} on {entry.column.name} ({', '.join(names)})")
