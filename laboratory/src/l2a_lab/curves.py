@@ -110,7 +110,12 @@ _ALL = (
     Curves(
         "algorithms",
         "Learning algorithms (appendix figure 5)",
-        (("DQN", "dqn"), ("ε-MCTS", "eps-mcts"), ("Q-MCTS", "q-mcts")),
+        (
+            ("DQN, paper's schedule", "dqn-paper"),
+            ("DQN", "dqn"),
+            ("ε-MCTS", "eps-mcts"),
+            ("Q-MCTS", "q-mcts"),
+        ),
         "Q-MCTS and ε-MCTS search while they collect: their curves are of the search.",
     ),
     Curves(

@@ -78,6 +78,7 @@ def _published(name: str, task: str, *changes: str) -> Recipe:
 
 _ALL = (
     _published("dqn", _CUBES, *_FAST),
+    Recipe("dqn-paper", _CUBES, (RecipeStage("paper"),)),
     _published("q-mcts", _CUBES, *_FAST, "method=q-mcts"),
     _published("eps-mcts", _CUBES, *_FAST, "method=eps-mcts"),
     _published("mha-full", _CUBES, _FULL, _EDGES, "num_samples=120000"),

@@ -214,20 +214,26 @@ def against_paper(data: TableData, condition: Condition) -> list[str]:
 
     Published rows without a search stand against our last one without, rows with a search against
     our last one with it, and rows of ours that have published numbers beside them against these.
-    Of rows without a search it is also said where the exact look-ahead is not better either.
+    Of rows without a search it is also said where the exact look-ahead is not better either. A
+    number that stands beside rows of several schedules counts once.
     """
     lacking: list[set[str]] = []
     missed: list[str] = []
     for line in zip(*data.entries, strict=True):
         best = next((entry for entry in line if entry.row.policy == LOOK_AHEAD), None)
+        seen: set[tuple[str, Published]] = set()
         for entry in line:
-            own = _opponent(line, entry, condition)
-            if own is None or entry.paper is None or entry.paper.R is None:
+            own, paper = _opponent(line, entry, condition), entry.paper
+            if own is None or paper is None or paper.R is None:
                 continue
-            lacking.append(_lacking(entry.paper, own))
+            number = entry.row.paper.get("method", ""), paper
+            if number in seen:
+                continue
+            seen.add(number)
+            lacking.append(_lacking(paper, own))
             hard = set[str]()
             if best is not None and condition in best.results and not entry.row.budget:
-                hard = _lacking(entry.paper, best.results[condition])
+                hard = _lacking(paper, best.results[condition])
             if lacking[-1]:
                 names = (f"{name}{HARD * (name in hard)}" for name in sorted(lacking[-1]))
                 missed.append(f"{entry.row.label} on {entry.column.name} ({', '.join(names)})")

@@ -257,6 +257,7 @@ _ALL = (
         "Learning algorithms (main Table 2; two sides, no robot)",
         _T2_COLUMNS,
         (
+            *_played("dqn-paper", PAPER_SCHEDULE),
             *_budget(0),
             *_budget(10),
             _UCT,
