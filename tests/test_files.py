@@ -371,7 +371,8 @@ def here(built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     shutil.copy(GATE, tmp_path / "gate.svg")
     shutil.copy(KIT, tmp_path / "my.toml")
     shutil.copytree(built, tmp_path / "plan")
-    (tmp_path / "victim.svg").write_text(MINE)
+    for name in ("victim.svg", "victim.png"):
+        (tmp_path / name).write_text(MINE)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -387,9 +388,8 @@ PREVIEW = ["build", "gate.svg", "--preview"]
 LOSSES: dict[str, list[str]] = {
     "the drawing as its preview": [*PREVIEW, "gate.svg"],
     "the drawing by another name": [*PREVIEW, "plan/../gate.svg"],
-    "a kit as a preview": [*PREVIEW, "my.toml"],
     "the kit of the call": ["build", "gate.svg", "--kit", "my.toml", "--preview", "my.toml"],
-    "somebody's file as a preview": [*PREVIEW, "victim.svg"],
+    "somebody's file as a preview": [*PREVIEW, "victim.png"],
     "an export": [*EXPORT, "glb", "--out", "victim.svg"],
     "the plan as a bill": [*EXPORT, "bill", "--out", "plan/plan.json"],
     "its blocks": [*EXPORT, "glb", "--out", "plan/assembly.json"],
@@ -404,7 +404,6 @@ READ = {
     for name, words in LOSSES.items()
     if name
     not in (
-        "a kit as a preview",
         "somebody's file as a preview",
         "an export",
         "what its build has written",
@@ -425,6 +424,15 @@ def test_no_file_is_lost(name: str, here: Path, capsys: pytest.CaptureFixture[st
     assert main([*LOSSES[name], "--overwrite"]) == (2 if name in READ else 0)
     assert (contents(here) == before) == (name in READ or "plan" in LOSSES[name][-1:])
     assert l2a.load_plan("plan").complete
+
+
+@pytest.mark.parametrize("name", ["my.toml", "victim.svg", "new.jpg", "new"])
+def test_a_preview_is_a_png(name: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = contents(here)
+    assert main([*PREVIEW, name, "--overwrite"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith(f"--preview: got '{name}', expected a name that ends in .png")
+    assert contents(here) == before
 
 
 def test_a_second_export_needs_to_be_told(here: Path, capsys: pytest.CaptureFixture[str]) -> None:

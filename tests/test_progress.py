@@ -231,6 +231,16 @@ def test_values_that_mean_nothing_are_shown(
     assert "expected plan.json or its folder" in refused(capsys, "view", "x.svg")
     assert "a kit file, which is TOML" in refused(capsys, "build", GATE, "--kit", "x.svg", *out)
     assert "see l2a build --help" in refused(capsys, "build", GATE)
+    Path("p.script").write_text("")
+    words = ("replay-trajectory", "p.script", "--arm", "panda")
+    assert "a URScript, which only a UR controller plays" in refused(capsys, *words)
+    Path("old").mkdir()
+    Path("old", "plan.json").write_text('{"status": "refused"}')
+    words = ("export", "old", "--format", "urscript", "--out", "new")
+    assert "old, which has no program: it is refused" in refused(capsys, *words)
+    for name in ("karel", "wobble"):  # Like none of them.
+        words = ("export", "old", "--format", name)
+        assert "did you mean" not in refused(capsys, *words)
     with pytest.raises(l2a.InputError, match="got 5,"):
         l2a.build(5)  # type: ignore[arg-type]
     assert not Path("new").exists()

@@ -365,13 +365,17 @@ def test_meshes_of_a_folder_are_blocks(tmp_path: Path) -> None:
 # What is said where cells cannot show a feature of a drawing.
 
 
-def _read(folder: Path, path: str, **options: float) -> CellDesign:
+def _drawing(folder: Path, path: str) -> Path:
     file = folder / "drawing.svg"
     file.write_text(
         '<svg xmlns="http://www.w3.org/2000/svg" width="500mm" height="500mm" '
         f'viewBox="0 0 500 500"><path fill-rule="evenodd" d="{path}"/></svg>'
     )
-    found = read_design(file, **options)
+    return file
+
+
+def _read(folder: Path, path: str, **options: float) -> CellDesign:
+    found = read_design(_drawing(folder, path), **options)
     assert isinstance(found, CellDesign)
     return found
 
@@ -428,7 +432,60 @@ def test_what_vanishes_is_said_and_the_cell_that_is_advised_shows_it(
     ],
 )
 def test_what_every_lattice_does_to_an_edge_is_not_called_lost(tmp_path: Path, path: str) -> None:
-    assert not _read(tmp_path, path).note
+    note = _read(tmp_path, path).note
+    assert "not shown" not in note
+    assert "becomes" not in note
+
+
+@pytest.mark.parametrize(
+    ("path", "options", "words"),
+    [
+        ("M0 395V0H400V395Z M120 120H290V290H120Z", {}, "edges move by up to 25 mm"),
+        ("M60 500V117H333V500Z", {}, "edges move by up to 17 mm"),
+        ("M100 500V112H300V500Z", {"depth": 0.12}, "walls 120 mm thick become 100 mm"),
+        ("M100 500V102H300V500Z", {"depth": 0.101}, ""),  # by less than anybody sees
+        ("M107 500V100H307V500Z", {"depth": 0.1}, ""),  # on the cells
+        ("M50 500A200 200 0 0 1 450 500Z", {}, ""),  # round
+        ("M50 500L250 100L450 500Z", {}, ""),  # slopes
+    ],
+)
+def test_that_straight_edges_are_rounded_to_cells_is_said(
+    tmp_path: Path, path: str, options: dict[str, float], words: str
+) -> None:
+    note = _read(tmp_path, path, **options).note
+    assert words in note
+    assert note.startswith("rounded to cells of 50 mm: ") == bool(words)
+    assert note.count("rounded") == bool(words)
+
+
+BENCH = "M0 240V0H480V240H400V80H80V240Z"
+"""480 x 240 mm, on two feet: nearly as well in cells of 50 mm that are not symmetric."""
+
+
+def test_a_symmetric_drawing_stays_so_where_that_costs_hardly_anything(tmp_path: Path) -> None:
+    wanted = _read(tmp_path, BENCH).wanted
+    assert np.array_equal(wanted, wanted[::-1])
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (
+            ["--depth", "0.12"],
+            "warning: only 69% of drawing and cells are common: rounded to cells of 50 mm: edges "
+            "move by up to 10 mm, walls 120 mm thick become 100 mm; cells of 40 mm show all of it",
+        ),
+        (["--cell", "0.04"], ""),
+    ],
+)
+def test_a_call_says_what_is_rounded_and_warns_where_little_is_common(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], words: str
+) -> None:
+    file = _drawing(tmp_path, BENCH)
+    for asked in (["--preview", "p.png"], ["--out", "plan", "--seconds", "1"]):
+        path = str(tmp_path / asked[1])
+        assert main(["build", str(file), asked[0], path, *asked[2:], *options]) in (0, 1)
+    assert capsys.readouterr().out.count(words or "100% of drawing and cells are common") == 2
 
 
 def test_a_part_that_vanishes_is_one(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.contacts import Contacts, find_contacts
 from learn2assemble.assembly.files import from_json
+from learn2assemble.assembly.sizes import unit_doubt
 from learn2assemble.errors import InputError
 from learn2assemble.statics.block_forces import GRAVITY, MOST_G
 from learn2assemble.statics.rigid_blocks import (
@@ -496,3 +498,35 @@ def test_bad_assemblies_are_refused() -> None:
     assembly = boxes(cube)
     with pytest.raises(InputError, match="present"):
         solve(assembly, find_contacts(assembly), present=np.ones(3, bool))
+
+
+def _row(*edges: float) -> Assembly:
+    """Cubes with such edges [m], side by side."""
+    left = np.cumsum([0.0, *edges])
+    return Assembly(
+        tuple(
+            box_block(f"b{k}", (x, 0.0, 0.0), (x + edge, edge, edge))
+            for k, (x, edge) in enumerate(zip(left.tolist(), edges, strict=False))
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("edges", "words"),
+    [
+        ((0.1, 0.1, 0.2, 2.0), ""),
+        ((0.1, 0.1, 0.1, 50.0), "blocks from 100 mm to 50 m (b3) long: is the unit right?"),
+        ((20.0, 40.0), "blocks from 20 m to 40 m long: is the unit right?"),
+    ],
+)
+def test_sizes_that_look_like_a_wrong_unit_are_questioned(
+    edges: tuple[float, ...], words: str
+) -> None:
+    assert unit_doubt(_row(*edges)) == words
+
+
+def test_a_check_is_shown_in_a_line() -> None:
+    found = check(_row(0.1, 0.1))
+    assert re.fullmatch(r"<Check: stands, 2 blocks, \d+ contacts, \w+, [\d.]+ s>", repr(found))
+    margin = f"margin {found.margin_g:.3f} g"
+    assert margin in repr(found)

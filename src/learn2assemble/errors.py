@@ -19,6 +19,8 @@ from typing import NamedTuple, TypeVar
 T = TypeVar("T")
 MANY, NEAREST = 20, 6
 """Of more valid names than this, a message shows only so many of the nearest."""
+CLOSE = 0.6
+"""A name as alike as this (`difflib`) may have been meant, others have not."""
 
 
 class Learn2AssembleError(Exception):
@@ -97,12 +99,19 @@ class UnknownNameError(InputError):
     def __init__(self, what: str, got: object, valid: Iterable[str]) -> None:
         names = sorted(valid)
         near = difflib.get_close_matches(str(got), names, n=NEAREST, cutoff=0.4)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
+        meant = closest(str(got), names)
+        hint = f"; did you mean {meant!r}?" if meant else ""
         shown = ", ".join(names) or "none"
         if len(names) > MANY:
             shown = f"{len(names)} names such as {', '.join(near or names[:NEAREST])}"
         elsewhere = getattr(valid, "elsewhere", "")
         super().__init__(what, got, f"one of {shown}{hint}{elsewhere}")
+
+
+def closest(got: str, valid: Iterable[str]) -> str | None:
+    """The one of the ``valid`` names that may have been meant; None where none is close."""
+    near = difflib.get_close_matches(got, list(valid), n=1, cutoff=CLOSE)
+    return near[0] if near else None
 
 
 def check_name(what: str, name: object, valid: Collection[str]) -> None:
@@ -241,7 +250,10 @@ def trusted(source: str, expected: str, how: str = "") -> Generator[None, None, 
     except InputError:
         raise
     except Exception as error:  # noqa: BLE001  the libraries trust their input
-        reason = f"{type(error).__name__} while reading it{how}"
+        # What the library says, but not where in the memory the file is.
+        told = re.sub(r"<[^<>]* at 0x[0-9a-f]+>", "it", str(error), flags=re.IGNORECASE)
+        told = re.sub(r"^\w+(Error|Exception): ", "", " ".join(told.split())).rstrip(".")
+        reason = f"{told or type(error).__name__} (while reading it{how})"
         raise InputError(source, reason, expected) from None
 
 

@@ -137,7 +137,8 @@ def _refused(plan: Plan, found: Prepared, workcell: Workcell, advice: str) -> Pl
     listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
     gone = any(step.block == number and step.remove for step in job.steps)
     what = "take away" if gone and StepOf(number) in order.steps else "place"
-    reason = f"the arm cannot {what} {listed}: {job.pieces[number].id}: {why}"
+    which = f"{blocks[0]}: " if blocks[1:] else ""
+    reason = f"the arm cannot {what} {listed}: {which}{why}"
     return replace(
         plan,
         status="refused",

@@ -229,17 +229,21 @@ def _preview(options: argparse.Namespace, output: Output) -> int:
     kit = options.kit
     if options.plates:
         kit = with_plates(None if kit is None else load_kit(kit))
+    is_png = options.preview.suffix.lower() == ".png"
     check_new(
         options.preview,
         "--preview",
         *(options.design, options.kit, options.layout, options.old),
-        overwrite=options.overwrite,
+        overwrite=options.overwrite or not is_png,  # Another name is never written to.
     )
+    if not is_png:
+        raise InputError("--preview", str(options.preview), "a name that ends in .png")
     found = preview(options.design, options.preview, kit=kit, overwrite=True, **reading_of(options))
     shape, cells = list(found.wanted.shape), int(found.wanted.sum())
-    output.say(f"{found.name}: {' × '.join(map(str, shape))} cells, {cells} to fill")
-    if found.note:
-        output.paragraph(found.note)
+    common, note = _reading(found.iou, found.note)
+    output.say(f"{found.name}: {' × '.join(map(str, shape))} cells, {cells} to fill{common}")
+    if note:
+        output.paragraph(note)
     output.say(f"preview: {options.preview}")
     output.finish(
         {
@@ -345,12 +349,12 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path], compiled: fl
         output.say(f"hands: {', '.join(helped)}")
     for stage in plan.search.attempts if plan.search else ():
         output.paragraph(f"{stage.stage}: {stage.result}")
-    if plan.design.note:
-        output.paragraph(plan.design.note)
+    shape, note = _reading(plan.design.iou, plan.design.note)
+    if note:
+        output.paragraph(note)
     if plan.cells:
         cells, design = plan.cells, plan.design
         other = cells.other_colour
-        shape = "" if design.iou is None else f"; {design.iou:.0%} of drawing and cells are common"
         planned = "cells, as planned" if plan.not_placed else "cells"
         output.paragraph(
             f"{planned}: {cells.wanted} wanted, {cells.missing} open, "
@@ -395,6 +399,25 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path], compiled: fl
         output.paragraph(f"why: {plan.reason}")
     for what, path in files.items():
         output.say(f"{what}: {path}")
+
+
+def _reading(iou: float | None, note: str | None) -> tuple[str, str]:
+    """How far cells are what was drawn, in words.
+
+    Args:
+        iou: of drawing and cells, see `CellDesign`.
+        note: what was done to the design to read it.
+
+    Returns:
+        What is added to a line about the cells, and a line with the note: with a warning where
+        little is common. Either may be empty.
+    """
+    from learn2assemble.design.lost import POOR
+
+    common = "" if iou is None else f"{iou:.0%} of drawing and cells are common"
+    if iou is not None and iou < POOR:
+        return "", f"warning: only {': '.join(filter(None, (common, note)))}"
+    return f"; {common}" if common else "", note or ""
 
 
 def _print_arm(output: Output, arm: ArmReport, name: str) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import inspect
 import math
 import sys
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 from learn2assemble import __version__
+from learn2assemble.errors import closest
 from learn2assemble.files import UNITS
 from learn2assemble.registry import Registry, add_plugin
 from learn2assemble.robot.registry import ARMS
@@ -125,8 +125,8 @@ class _Parser(argparse.ArgumentParser):
             # Here, where the options of the command are known; the parser above knows none.
             read, unknown = super().parse_known_args(args, namespace)
             if unknown:
-                near = difflib.get_close_matches(unknown[0], self._option_string_actions, n=1)
-                hint = f"; did you mean {near[0]}?" if near else ""
+                near = closest(unknown[0], self._option_string_actions)
+                hint = f"; did you mean {near}?" if near else ""
                 self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
             return read, unknown
         return super().parse_known_args(args, namespace)
@@ -157,8 +157,8 @@ class _Parser(argparse.ArgumentParser):
         head, _, choices = text.partition(" (choose from ")
         got = head.split("invalid choice: ", 1)[1].strip("'")
         valid = [choice.strip(" ')") for choice in choices.split(",")]
-        near = difflib.get_close_matches(got, valid, n=1, cutoff=0.4)
-        hint = f"did you mean {near[0]!r}?" if near else ""
+        near = closest(got, valid)
+        hint = f"did you mean {near!r}?" if near else ""
         if not head.startswith(f"argument {COMMAND}:"):
             return f"{text}; {hint}" if near else text
         if self.prog == L2A.name and got in LABORATORY:

@@ -299,6 +299,7 @@ def _check(options: argparse.Namespace, output: Output) -> int:
     import numpy as np
 
     from learn2assemble.assembly.files import read_assembly
+    from learn2assemble.assembly.sizes import unit_doubt
     from learn2assemble.statics.rigid_blocks import check
     from learn2assemble.viewer.page import Verdict
 
@@ -322,6 +323,8 @@ def _check(options: argparse.Namespace, output: Output) -> int:
             ("contacts", len(found.contacts.a)),
             ("seconds", f"{found.seconds:.2f}"),
         ]
+        doubt = unit_doubt(assembly)
+        rows += [("sizes", doubt)] if doubt else []
         output.table(f"{options.file.name}: {found.verdict}", ("quantity", "value"), rows)
         files = _write_page(
             options.out,
@@ -343,6 +346,7 @@ def _check(options: argparse.Namespace, output: Output) -> int:
             "moves_first": list(found.moving),
             "blocks": found.blocks,
             "contacts": len(found.contacts.a),
+            "note": doubt,
             "seconds": round(found.seconds, 3),
             "files": files,
         }

@@ -11,7 +11,15 @@ from learn2assemble.design import drawings
 from learn2assemble.design.cells import CellDesign, Origin, design_of
 from learn2assemble.design.drawings import SIDES, Contours, Drawing
 from learn2assemble.design.lattice import HALF, fit, shares
-from learn2assemble.design.lost import fitting_cell, fitting_words, lost_features, lost_words
+from learn2assemble.design.lost import (
+    MOVED,
+    fitting_cell,
+    fitting_words,
+    lost_features,
+    lost_words,
+    moved_edges,
+    rounded_words,
+)
 from learn2assemble.design.reading import Extent, Lengths
 
 
@@ -35,7 +43,8 @@ def from_drawing(drawing: Drawing, origin: Origin) -> CellDesign:
     origins = _origins(boxes, drawing.placed)
     palette = sorted({colour for paints in drawing.paints.values() for _, colour in paints})
     pairs: list[_Walls] = []
-    lost = [origin.note] if origin.note else []
+    lost = list[str]()
+    far, changed = 0.0, None
     for axis, (one, other) in enumerate((SIDES[:2], SIDES[2:])):
         names = [side for side in (one, other) if side in boxes]
 
@@ -55,7 +64,10 @@ def from_drawing(drawing: Drawing, origin: Origin) -> CellDesign:
             drawn = np.array([ends, points_[:, 2].max()]) * edges / scale
             Extent(drawn, edges, source, drawing.placed).check(scale)
             share, first = fit(triangles, (0,))
-            lost += _not_shown(walls, (cell[axis], cell[2]))
+            words, off = _not_shown(walls, (cell[axis], cell[2]), first)
+            lost += words
+            far = max(far, off)
+            changed = changed or _thickness(given.depth, cell[1 - axis])
             tint = np.zeros(share.shape, np.int64)
             for k, side in enumerate(names):
                 paints = [
@@ -68,6 +80,7 @@ def from_drawing(drawing: Drawing, origin: Origin) -> CellDesign:
                 for k, wall in enumerate(walls)
             ]
             pairs.append(_Walls(axis, names, np.stack([share, tint]), first, whole))
+    moves = rounded_words((across, cell[2]), far, changed)
     least = 3 if drawing.placed and len(boxes) > 2 else 1
     share, tint, surface = _footprint(pairs, given.depth, cell, least, drawing.placed)
     colours = None
@@ -82,7 +95,7 @@ def from_drawing(drawing: Drawing, origin: Origin) -> CellDesign:
         kit=kit,
         remedies=extent.remedies(),
         blocks=drawing.blocks,
-        note="; ".join(dict.fromkeys(lost)),
+        note="; ".join(dict.fromkeys(filter(None, (origin.note, moves, *lost)))),
     )
     made = design_of(
         share,
@@ -96,8 +109,15 @@ def from_drawing(drawing: Drawing, origin: Origin) -> CellDesign:
     return replace(made, drawn=tuple(side for side in SIDES if side in boxes))
 
 
-def _not_shown(walls: list[Contours], edges: tuple[float, float]) -> list[str]:
-    """What cells of such edges [m] do not show of walls [cells], and which cells would."""
+def _not_shown(
+    walls: list[Contours], edges: tuple[float, float], first: np.ndarray
+) -> tuple[list[str], float]:
+    """What cells of such edges [m] do not show of walls [cells], and which cells would; and how
+    far edges of walls move [m], 0 where something is said that tells more.
+
+    Args:
+        first: lower corner of the first cell, ``float64[3]`` [cells].
+    """
 
     def fitted(walls: list[Contours]) -> tuple[np.ndarray, np.ndarray]:
         return fit(_around(walls), (0,))
@@ -105,8 +125,15 @@ def _not_shown(walls: list[Contours], edges: tuple[float, float]) -> list[str]:
     found, finer = lost_features(walls, fitted, edges)
     fitting = fitting_cell(walls, fitted, edges)
     if found:
-        return [lost_words(found, fitting or finer)]
-    return [fitting_words(fitting)] if fitting else []
+        return [lost_words(found, fitting or finer)], 0.0
+    words = [fitting_words(fitting)] if fitting else []
+    return words, moved_edges(walls, first, edges)
+
+
+def _thickness(depth: float | None, edge: float) -> tuple[float, float] | None:
+    """How thick walls are asked for and made of cells with such an edge [m]; None if alike."""
+    made = edge * max(1, round((depth or edge) / edge))
+    return None if depth is None or abs(depth - made) < MOVED * edge else (depth, made)
 
 
 def _origins(boxes: dict[str, np.ndarray], placed: bool) -> dict[str, np.ndarray]:

@@ -19,6 +19,9 @@ _SLACK = 1e-9
 _SYMMETRIC = 1e-3
 """A place about the middle of a design is kept unless another misfits by so much less, as a share
 of its volume."""
+_MIRRORED = 5e-3
+"""The same where cells that are their own mirror image about the middle would become cells that
+are not: a symmetric wall with a notch at one end is what nobody drew."""
 _PLANES = 3
 """So many of the largest faces across an axis are tried as planes of the lattice."""
 
@@ -89,7 +92,8 @@ def fit(triangles: np.ndarray, free: Sequence[int]) -> tuple[np.ndarray, np.ndar
 
     The lattice may be moved along the axes ``free``. It is put where cells that are filled from
     half their volume on differ least from the solid (symmetric difference); about the middle of
-    the solid where that makes no difference, so that a symmetric solid stays so.
+    the solid where that makes no difference, or hardly any and the cells there are symmetric, so
+    that a symmetric solid stays so.
 
     Args:
         triangles: in cells.
@@ -106,7 +110,10 @@ def fit(triangles: np.ndarray, free: Sequence[int]) -> tuple[np.ndarray, np.ndar
             moved[axis] = place
             found = _laid(triangles, moved)
             volume = max(float(found[0].sum()), _SLACK)
-            if misfit(found[0]) < misfit(best[0]) - _SYMMETRIC * volume:
+            least = _SYMMETRIC
+            if _mirrored(best[0], axis) and not _mirrored(found[0], axis):
+                least = _MIRRORED
+            if misfit(found[0]) < misfit(best[0]) - least * volume:
                 offset, best = moved, found
     return best
 
@@ -114,6 +121,14 @@ def fit(triangles: np.ndarray, free: Sequence[int]) -> tuple[np.ndarray, np.ndar
 def misfit(share: np.ndarray) -> float:
     """Volume by which the filled cells and the solid differ [cells]."""
     return float(np.where(share >= HALF, np.abs(1 - share), np.abs(share)).sum())
+
+
+def _mirrored(share: np.ndarray, axis: int) -> bool:
+    """Whether the filled cells are their own mirror image along an axis."""
+    filled = np.moveaxis(share >= HALF, axis, 0)
+    used = np.flatnonzero(filled.any((1, 2)))
+    filled = filled[used[0] : used[-1] + 1] if len(used) else filled
+    return bool((filled == filled[::-1]).all())
 
 
 def _laid(triangles: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,5 +1,5 @@
 """What cells cannot show of a drawing: windows that vanish or get narrower, teeth and piers that
-vanish.
+vanish, straight edges that move.
 
 Cells take what is half full, so a window that lies across two cells can vanish although nearly all
 of the drawing is kept, and the share in common says nothing of it. Here the outline is compared
@@ -30,6 +30,12 @@ FINER = (2, 3, 4)
 RESIZED = 0.7
 """By so much an opening is wider or higher than drawn, or less, before it is said [cells]: each of
 its edges may move by half a cell."""
+MOVED = 0.05
+"""A straight edge that moves by less is where it was drawn [cells]."""
+STRAIGHT = 0.5
+"""Lines from this length on are edges [cells]; shorter ones may be parts of a curve."""
+POOR = 0.85
+"""A smaller share of drawing and cells in common is warned of."""
 ALIKE = 1e-4
 """Lengths that differ by less are equal [cells]: what numbers of a file are rounded to."""
 
@@ -114,10 +120,47 @@ def fitting_cell(
     return edges[0] * measure, edges[1] * measure
 
 
+def moved_edges(walls: list[Contours], first: np.ndarray, edges: tuple[float, float]) -> float:
+    """How far the level and upright edges of walls are from the planes of the lattice, at most.
+
+    Args:
+        walls, edges: as in `lost_features`.
+        first: lower corner of the first cell, ``float64[3]`` [cells].
+
+    Returns:
+        [m]; 0 where all are within `MOVED`.
+    """
+    farthest = 0.0
+    for contour in (contour for wall in walls for contour in wall):
+        along = np.abs(np.roll(contour, -1, axis=0) - contour)
+        for axis, edge in enumerate(edges):
+            straight = (along[:, axis] < ALIKE) & (along[:, 1 - axis] >= STRAIGHT)
+            places = contour[straight, axis] - first[2 * axis]
+            off = np.abs(places - places.round())
+            farthest = max(farthest, float((off * (off >= MOVED)).max(initial=0.0)) * edge)
+    return farthest
+
+
+def rounded_words(edges: tuple[float, float], far: float, thick: tuple[float, float] | None) -> str:
+    """One line, such as `rounded to cells of 50 mm: edges move by up to 20 mm`.
+
+    Args:
+        edges: of a cell [m].
+        far: as of `moved_edges`.
+        thick: of the walls, as drawn and in cells [m]; None where they are alike.
+
+    Returns:
+        Nothing where neither differs.
+    """
+    words = [f"edges move by up to {millimetres(far)}"] if far else []
+    if thick is not None:
+        words.append(f"walls {millimetres(thick[0])} thick become {millimetres(thick[1])}")
+    return f"rounded to cells of {_size(edges)}: {', '.join(words)}" if words else ""
+
+
 def fitting_words(fitting: tuple[float, float]) -> str:
-    """One line, such as `all edges are at multiples of 20 mm: cells of 20 mm show all of it`."""
-    size = _size(fitting)
-    return f"all edges are at multiples of {size}: cells of {size} show all of it"
+    """One line, such as `cells of 20 mm show all of it`."""
+    return f"cells of {_size(fitting)} show all of it"
 
 
 def _size(cell: tuple[float, float]) -> str:

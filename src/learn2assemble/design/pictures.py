@@ -6,7 +6,7 @@ import io
 
 import numpy as np
 
-from learn2assemble.errors import InputError, trusted
+from learn2assemble.errors import InputError, Remedy, trusted
 
 MAX_COLOURS = 32
 """Most colours of a picture that are told apart."""
@@ -14,6 +14,8 @@ _SHADES = 40.0
 """How far apart shades of one colour are, where there are many [of 255]."""
 MAX_PIXELS = 16_000_000
 """Most pixels of a picture."""
+USUAL_WIDE = 32
+"""Cells across that are proposed."""
 MAX_LINES = 100_000
 """Most edges of pixels that are kept as the outline of a picture."""
 LOSSY = {"png": False, "jpeg": True, "webp": True}
@@ -56,12 +58,22 @@ def read_picture(
     if wide is None:
         if max(material.shape) > limit:
             got = f"{material.shape[0]} x {material.shape[1]} pixels of material"
-            raise InputError(f"{source}: cells_wide", got, f"a number up to {limit} for so many")
+            raise InputError(
+                source,
+                got,
+                f"at most {limit} each way where a pixel is a cell",
+                *_fitting(material.shape, min(limit, USUAL_WIDE), limit, aspect),
+            )
         return material.astype(np.float64), _plain(colour.astype(np.uint8), material, kind), None
     per_cell = len(material) / wide
-    high = int(np.ceil(material.shape[1] / (per_cell / aspect) - 1e-9))
+    high = _cells_high(material.shape, wide, aspect)
     if high > limit:
-        raise InputError(f"{source}: cells_wide", wide, f"fewer: it would be {high} cells high")
+        raise InputError(
+            f"{source}: cells_wide",
+            wide,
+            f"fewer: it would be {high} cells high",
+            *_fitting(material.shape, wide, limit, aspect),
+        )
     edges = (np.arange(wide + 1) * per_cell, np.arange(high + 1) * (per_cell / aspect))
     size = edges[0][1] * edges[1][1]
     share = _sums(material, edges)
@@ -73,6 +85,20 @@ def read_picture(
     outline = _outline(material) / (per_cell, per_cell / aspect)
     colours = _plain(palette[amounts.argmax(0)], share > 0, kind)
     return share / size, colours, outline if len(outline) <= MAX_LINES else None
+
+
+def _cells_high(shape: tuple[int, ...], wide: int, aspect: float) -> int:
+    """Of a picture of pixels (x, z) that is so many cells wide."""
+    return int(np.ceil(shape[1] / (shape[0] / wide / aspect) - 1e-9))
+
+
+def _fitting(shape: tuple[int, ...], wide: int, limit: int, aspect: float) -> tuple[Remedy, ...]:
+    """The largest number of cells across, up to ``wide``, with which a picture fits."""
+    for fewer in range(wide, 0, -1):
+        high = _cells_high(shape, fewer, aspect)
+        if high <= limit:
+            return (Remedy("cells_wide", fewer, f"gives {fewer} × {high} cells"),)
+    return ()
 
 
 def _outline(material: np.ndarray) -> np.ndarray:

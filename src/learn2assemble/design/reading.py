@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.design.lattice import MAX_CELLS
-from learn2assemble.design.pictures import LOSSY
+from learn2assemble.design.pictures import LOSSY, USUAL_WIDE
 from learn2assemble.errors import InputError, Remedy, check_name, look_up
 from learn2assemble.files import FARTHEST, UNITS
 
@@ -20,8 +20,6 @@ ARRAY, FOLDER = "array", "folder"
 """The kinds of a design that is a numpy array, and of a folder of meshes."""
 _LENGTHS = 1e-4, 100.0
 """Shortest and longest length an option may give [m]."""
-_USUAL_WIDE = 32
-"""Cells across that are proposed where no unit fits."""
 
 Lengths = tuple[float, float, float]
 
@@ -208,7 +206,7 @@ class Extent:
             found = sorted(fit, key=lambda unit: -fit[unit].max())[:2]
             return tuple(Remedy("unit", u, f"gives {_counts(fit[u])} cells") for u in found)
         shape = self.units / self.cell
-        wide = int(min(_USUAL_WIDE, MAX_CELLS * shape[0] / shape.max()))
+        wide = int(min(USUAL_WIDE, MAX_CELLS * shape[0] / shape.max()))
         if wide < 1:
             return ()
         counts = _counts(shape * (wide / shape[0]))

@@ -20,7 +20,7 @@ from learn2assemble.export.place_words import place_rows
 from learn2assemble.export.robot_tables import read_table, write_franka, write_table
 from learn2assemble.export.ros2 import is_bag, read_bag, write_bag
 from learn2assemble.export.urscript import write_urscript
-from learn2assemble.files import as_path, check_exists, check_new, printable
+from learn2assemble.files import as_path, check_exists, check_new, printable, read_json
 from learn2assemble.motion.driver import arm_of
 from learn2assemble.motion.files import read_record
 from learn2assemble.motion.knots import usage
@@ -31,7 +31,7 @@ from learn2assemble.motion.settings import SLOWEST_SHARE, ProgramSettings, read_
 from learn2assemble.registry import Registry
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.registry import ARMS
-from learn2assemble.values import number
+from learn2assemble.values import mapping, number
 
 if TYPE_CHECKING:
     from learn2assemble.simulation.dry_run import DryRun
@@ -168,7 +168,9 @@ def _read_record(path: Path) -> BuildRecord:
         raise InputError("PLAN", f"{path}, a build by several arms", expected)
     if not file.is_file():
         expected = "the folder of a build with an arm (l2a build --arm), or its trajectory.json"
-        raise InputError("PLAN", str(path), expected)
+        status = _status(file.with_name("plan.json"))
+        why = f", which has no program: it is {status}" if status != "complete" else ""
+        raise InputError("PLAN", f"{path}{why}", expected)
     record, told = read_record(file), file.with_name("assembly.json")
     if record.names or not told.is_file():
         return record
@@ -177,6 +179,15 @@ def _read_record(path: Path) -> BuildRecord:
     left = [""] * (len(record.objects) - len(blocks))
     names, kinds = ([*(getattr(b, key) for b in blocks), *left] for key in ("id", "kind"))
     return replace(record, names=tuple(names), kinds=tuple(kinds))
+
+
+def _status(file: Path) -> str:
+    """That of a plan; ``complete`` too where the file says nothing of it."""
+    if not file.is_file():
+        return "complete"
+    plan, source = read_json(file, "plan")
+    status: object = mapping(plan, source).get("status")
+    return status if isinstance(status, str) else "complete"
 
 
 def read_program(path: str | Path, arm: str) -> tuple[Program, Arm]:
@@ -196,8 +207,10 @@ def read_program(path: str | Path, arm: str) -> tuple[Program, Arm]:
     """
     path = as_path(path, "program")
     look_up("arm", arm, ARMS)
-    if path.is_dir() or _FROM_A_BUILD.fullmatch(path.name):
+    urscript = path.suffix.lower() == ".script"
+    if urscript or path.is_dir() or _FROM_A_BUILD.fullmatch(path.name):
         got = "a folder" if path.is_dir() else "a file of the build itself"
+        got = "a URScript, which only a UR controller plays" if urscript else got
         expected = "a program, which l2a export makes of a build (csv, franka or ros2)"
         raise InputError(printable(str(path)), got, expected)
     return (read_bag if is_bag(path) else read_table)(path, arm)

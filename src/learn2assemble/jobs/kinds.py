@@ -180,6 +180,19 @@ def goals_plan(
 def blocks_plan(
     blocks: Assembly, workcell: Workcell | None, help_: Help, given: dict[str, Any]
 ) -> Plan:
+    """The plan of given blocks, with a note where the unit of their sizes is in doubt."""
+    from learn2assemble.assembly.sizes import unit_doubt
+
+    plan = _blocks_plan(blocks, workcell, help_, given)
+    if not (doubt := unit_doubt(blocks)):
+        return plan
+    note = "; ".join(filter(None, (plan.design.note, doubt)))
+    return replace(plan, design=replace(plan.design, note=note))
+
+
+def _blocks_plan(
+    blocks: Assembly, workcell: Workcell | None, help_: Help, given: dict[str, Any]
+) -> Plan:
     from learn2assemble.planning.brick_plan import plan_for_arm
     from learn2assemble.planning.given import plan_assembly
 

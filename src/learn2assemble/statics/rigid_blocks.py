@@ -89,7 +89,7 @@ class Asked(NamedTuple):
     margin_n: Callable[[], float | None] = lambda: None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Check:
     """The answer of :func:`check`.
 
@@ -116,6 +116,14 @@ class Check:
     method: str
     seconds: float
     asked: Asked
+
+    def __repr__(self) -> str:
+        """Without arrays; with the margin where it has been asked for."""
+        known = f", margin {self.margin_g:.3f} g" if "margin_g" in vars(self) else ""
+        return (
+            f"<Check: {self.verdict}, {self.blocks} blocks, {len(self.contacts.a)} contacts, "
+            f"{self.method}{known}, {self.seconds:.2f} s>"
+        )
 
     @cached_property
     def margin_g(self) -> float:
