@@ -299,9 +299,9 @@ def test_figures_of_the_first_page_are_those_of_the_tables() -> None:
 
     small, large = "two-sided-3x3-20-24", "two-sided-5x5-40-44"
     search = "DQN+MCTS, budget 10"
-    plain, with_it = (found("T2", small, f"{m}, our schedule") for m in ("DQN", search))
+    plain, with_it = (found("T2", small, f"{m}, paper's schedule") for m in ("DQN", search))
     zero_shot = "ours, trained on 3x3, budget 10 (model labels)"
-    ours, published = (found("T2", large, m) for m in (zero_shot, f"{search}, our schedule"))
+    ours, published = (found("T2", large, m) for m in (zero_shot, f"{search}, paper's schedule"))
     rows, anywhere = (
         ("T4", "robot-two-sided-3x3-10-14"),
         (

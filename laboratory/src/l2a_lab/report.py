@@ -214,22 +214,16 @@ def against_paper(data: TableData, condition: Condition) -> list[str]:
 
     Published rows without a search stand against our last one without, rows with a search against
     our last one with it, and rows of ours that have published numbers beside them against these.
-    Of rows without a search it is also said where the exact look-ahead is not better either. A
-    number that stands beside rows of several schedules counts once.
+    Of rows without a search it is also said where the exact look-ahead is not better either.
     """
     lacking: list[set[str]] = []
     missed: list[str] = []
     for line in zip(*data.entries, strict=True):
         best = next((entry for entry in line if entry.row.policy == LOOK_AHEAD), None)
-        seen: set[tuple[str, Published]] = set()
         for entry in line:
             own, paper = _opponent(line, entry, condition), entry.paper
             if own is None or paper is None or paper.R is None:
                 continue
-            number = entry.row.paper.get("method", ""), paper
-            if number in seen:
-                continue
-            seen.add(number)
             lacking.append(_lacking(paper, own))
             hard = set[str]()
             if best is not None and condition in best.results and not entry.row.budget:

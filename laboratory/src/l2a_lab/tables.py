@@ -128,11 +128,22 @@ def _robot_rows(agents: str, own: str, paper: str = "") -> tuple[Row, ...]:
         paper: published ones on the paper's schedule, where there are some; these then stand for
             the published numbers.
     """
-    fast = _played(agents, OUR_SCHEDULE)
     slow = _played(paper, PAPER_SCHEDULE) if paper else ()
-    fast = tuple(replace(row, paper={}) for row in fast) if paper else fast
+    fast = _beside(slow, _played(agents, OUR_SCHEDULE))
     return (*slow, *fast, *_own(own)[:2], _LOOK_AHEAD)
 
+
+def _beside(slow: Iterable[Row], fast: Iterable[Row]) -> tuple[Row, ...]:
+    """Rows on our schedule, without the published numbers where rows on the paper's have them."""
+
+    def number(row: Row) -> tuple[str | None, ...]:
+        return tuple(row.paper.get(key) for key in ("method", "search_budget"))
+
+    taken = {number(row) for row in slow}
+    return tuple(replace(row, paper={}) if number(row) in taken else row for row in fast)
+
+
+_SLOW_CUBES = _played("dqn-paper", PAPER_SCHEDULE)
 
 # ---------------------------------------------------------------- columns
 
@@ -257,9 +268,8 @@ _ALL = (
         "Learning algorithms (main Table 2; two sides, no robot)",
         _T2_COLUMNS,
         (
-            *_played("dqn-paper", PAPER_SCHEDULE),
-            *_budget(0),
-            *_budget(10),
+            *_SLOW_CUBES,
+            *_beside(_SLOW_CUBES, (*_budget(0), *_budget(10))),
             _UCT,
             _RANDOM,
             *_own(OWN_CUBES),

@@ -45,6 +45,10 @@ nothing, as a share of the block's size."""
 _STEADY = 1e-5
 """How far out of level the face may be on which a block stands, in extents of the block: less than
 the hundredth of a degree to which turns are told."""
+_ODD = 100.0
+"""A block that is so many times longer than the median, or more, may be in another unit."""
+_HUGE = 10.0
+"""So may blocks that are all longer than this [m]."""
 _MOST_LOOKED_AT = 240
 """Blocks of so many different shapes have more sizes than there are colours."""
 
@@ -227,6 +231,25 @@ def millimetres(*lengths: float) -> str:
     """Lengths [m], with four digits below a metre and whole from there on."""
     words = (f"{1000 * v:.4g}" if abs(v) < 1 else f"{1000 * v:.0f}" for v in lengths)
     return " × ".join(words) + " mm"
+
+
+def unit_doubt(assembly: Assembly) -> str:
+    """A question in one line where the sizes of blocks look as if their unit were wrong, such as
+    ``blocks from 100 mm to 100000 mm long: is the unit right?``; else nothing."""
+    blocks = [block for block in assembly.blocks if not (block.prop or block.support)]
+    if not blocks:
+        return ""
+    longest = [block.extent for block in blocks]
+    low, high = min(longest), max(longest)
+    if low <= _HUGE and high <= _ODD * float(np.median(longest)):
+        return ""
+    named = blocks[int(np.argmax(longest))].id
+    which = f" ({named})" if low <= _HUGE else ""
+    return f"blocks from {_length(low)} to {_length(high)}{which} long: is the unit right?"
+
+
+def _length(value: float) -> str:
+    return f"{value:.4g} m" if value >= 1 else millimetres(value)
 
 
 class Section(NamedTuple):

@@ -298,8 +298,8 @@ def _check(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where it stands, if only with tight joints, else 1."""
     import numpy as np
 
+    from learn2assemble.assembly.appearance import unit_doubt
     from learn2assemble.assembly.files import read_assembly
-    from learn2assemble.assembly.sizes import unit_doubt
     from learn2assemble.statics.rigid_blocks import check
     from learn2assemble.viewer.page import Verdict
 

@@ -181,7 +181,7 @@ def blocks_plan(
     blocks: Assembly, workcell: Workcell | None, help_: Help, given: dict[str, Any]
 ) -> Plan:
     """The plan of given blocks, with a note where the unit of their sizes is in doubt."""
-    from learn2assemble.assembly.sizes import unit_doubt
+    from learn2assemble.assembly.appearance import unit_doubt
 
     plan = _blocks_plan(blocks, workcell, help_, given)
     if not (doubt := unit_doubt(blocks)):

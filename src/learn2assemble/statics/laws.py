@@ -15,7 +15,7 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import Contacts, shrunk
 from learn2assemble.assembly.hands import Hand
-from learn2assemble.linear_programs import Clock
+from learn2assemble.linear_programs import INF, Clock
 from learn2assemble.statics.holding import Balance, Push, balance_of
 from learn2assemble.statics.holding_check import JointAnswer, margin_n, reference
 from learn2assemble.statics.holding_forces import among
@@ -162,7 +162,7 @@ class ByLoads:
         placed = self._placed(state)
         if state.held.any() or state.present[len(placed) :].any():
             return False
-        if self._balance(self.proof, self._before, placed) is None:
+        if self._balance(self.proof, self._before, placed, self.clock.left) is None:
             return False
         self._before = placed
         return True
@@ -174,7 +174,8 @@ class ByLoads:
         """States come in the order in which they are built."""
         placed = self._placed(state)
         dirty = changed(self.stack, self._told, placed)
-        method = self._balance(self._upright, self._told, placed)
+        # It was proven before, so no time is too short for telling how.
+        method = self._balance(self._upright, self._told, placed, INF)
         assert method is not None
         self._sideways.follow(dirty, placed, self._upright.force, self.clock)
         rank = int(self.stack.rank[placed & ~self._told].max(initial=-1))
@@ -197,8 +198,11 @@ class ByLoads:
         """bool[n]: blocks that have to be carried."""
         return state.present[: len(self.fixed)] & ~self.fixed
 
-    def _balance(self, proof: Proof, before: np.ndarray, placed: np.ndarray) -> str | None:
-        """How the forces of a state are made those of the next, or None where it falls."""
+    def _balance(
+        self, proof: Proof, before: np.ndarray, placed: np.ndarray, seconds: float
+    ) -> str | None:
+        """How the forces of a state are made those of the next, or None where it falls, or where
+        one of the programs takes longer than so many seconds."""
         dirty = changed(self.stack, before, placed)
         if proof.settle(dirty, placed):
             return LOCAL
@@ -212,13 +216,13 @@ class ByLoads:
             alone[block] = True
             # With nothing on it, a block that its own bed faces cannot balance falls for sure.
             free = not placed[self.stack.tops[block]].any()
-            if free and proof.program(placed, alone, self.clock.left) is False:
+            if free and proof.program(placed, alone, seconds) is False:
                 return None
         # That was a question: with its answer kept, the blocks below would not be looked at.
         proof.force = forces
         found = proof.settle(dirty, placed, mends=True)
         for blocks in (lies_below(self.stack, some, placed), placed):
-            found = found or bool(proof.program(placed, blocks, self.clock.left))
+            found = found or bool(proof.program(placed, blocks, seconds))
         if found and len(self._solved) * proof.force.nbytes < _KEPT:
             self._solved[key] = proof.force.copy()
         return PROGRAM if found else None
