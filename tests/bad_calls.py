@@ -855,7 +855,9 @@ BAD = [
     BadCall("no curves", ["curves"], "NAME"),
     BadCall("misspelt curves", curves("algoritms"), "did you mean 'algorithms'"),
     BadCall(
-        "curves of no runs", curves("algorithms", "--runs", "{d}/runs.jsonl.gz"), "such as dqn-s0"
+        "curves of no runs",
+        curves("algorithms", "--runs", "{d}/runs.jsonl.gz"),
+        "such as dqn-paper-s0",
     ),
     BadCall("curves of missing runs", curves("algorithms"), "file of runs"),
     BadCall("curves of a folder", curves("algorithms", "--runs", "{d}/full"), "runs.jsonl.gz"),

@@ -109,8 +109,14 @@ class UnknownNameError(InputError):
 
 
 def closest(got: str, valid: Iterable[str]) -> str | None:
-    """The one of the ``valid`` names that may have been meant; None where none is close."""
-    near = difflib.get_close_matches(got, list(valid), n=1, cutoff=CLOSE)
+    """The one of the ``valid`` names that may have been meant; None where none is close.
+
+    Of a longer name its beginning may be: whoever writes ``sped`` means ``speed_factor``.
+    """
+    names = list(valid)
+    near = difflib.get_close_matches(got, names, n=1, cutoff=CLOSE)
+    begun = {name[: len(got)]: name for name in reversed(names) if len(got) > 2}
+    near += [begun[one] for one in difflib.get_close_matches(got, begun, n=1, cutoff=CLOSE)]
     return near[0] if near else None
 
 
