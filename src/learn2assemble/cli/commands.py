@@ -344,7 +344,9 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path], compiled: fl
     status = plan.status
     if found := plan.not_placed:
         status, number = f"{status} by the arm", f"{found} blocks found, none placed"
-    output.say(f"{status}: {number}, {plan.planner} planner, {spent_words(plan.seconds, compiled)}")
+    output.paragraph(
+        f"{status}: {number}, {plan.planner} planner, {spent_words(plan.seconds, compiled)}"
+    )
     if helped := _hands_of(plan):
         output.say(f"hands: {', '.join(helped)}")
     for stage in plan.search.attempts if plan.search else ():
