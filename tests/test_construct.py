@@ -533,5 +533,5 @@ def test_a_heap_that_is_too_small_says_what_it_lacks() -> None:
     plan = plan_cells(design, _heap(half=1, brick=1, long=1))
     assert plan.status == "refused"
     assert (plan.reason or "").endswith(
-        "has 7 cells; the design has 20: it lacks at least 3 x long and 1 x half"
+        "has 7 cells; the design has 20: it lacks 13, such as 3 x long and 1 x half"
     )

@@ -435,6 +435,12 @@ def test_a_preview_is_a_png(name: str, here: Path, capsys: pytest.CaptureFixture
     assert contents(here) == before
 
 
+def test_a_preview_by_python_is_a_png_too(here: Path) -> None:
+    with pytest.raises(l2a.InputError, match=r"new\.jpg', expected a name that ends in \.png"):
+        l2a.preview("gate.svg", "new.jpg")
+    assert not Path("new.jpg").exists()
+
+
 def test_a_second_export_needs_to_be_told(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Into the working folder, by its usual name."""
     assert main([*EXPORT, "glb"]) == 0
@@ -463,7 +469,7 @@ PLAIN: dict[str, Callable[..., Any]] = {
 
 @pytest.mark.parametrize("name", PLAIN)
 def test_calls_write_new_files(name: str, tmp_path: Path) -> None:
-    file = tmp_path / "file"
+    file = tmp_path / "file.png"
     file.write_text(MINE)
     with pytest.raises(l2a.InputError, match=r"expected a new file; overwrite=True replaces it"):
         PLAIN[name](file)

@@ -235,7 +235,7 @@ def millimetres(*lengths: float) -> str:
 
 def unit_doubt(assembly: Assembly) -> str:
     """A question in one line where the sizes of blocks look as if their unit were wrong, such as
-    ``blocks from 100 mm to 100000 mm long: is the unit right?``; else nothing."""
+    ``blocks from 100 mm to 108.1 m (b3) long: is the unit right?``; else nothing."""
     blocks = [block for block in assembly.blocks if not (block.prop or block.support)]
     if not blocks:
         return ""

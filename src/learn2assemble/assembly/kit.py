@@ -108,6 +108,11 @@ class Kit:
         return any(kind.count is not None for kind in self.kinds)
 
     @property
+    def unlimited(self) -> Kit:
+        """The same kinds, without limits."""
+        return replace(self, kinds=tuple(replace(kind, count=None) for kind in self.kinds))
+
+    @property
     def most_cells(self) -> int | None:
         """How many cells all blocks together fill; None without a limit."""
         if any(kind.count is None for kind in self.kinds):

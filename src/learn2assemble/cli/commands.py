@@ -224,20 +224,18 @@ def _resume_finished(options: argparse.Namespace, output: Output) -> int:
 def _preview(options: argparse.Namespace, output: Output) -> int:
     from learn2assemble.assembly.kit import load_kit
     from learn2assemble.jobs.kinds import with_plates
-    from learn2assemble.viewer.preview import preview
+    from learn2assemble.viewer.preview import check_png, preview
 
     kit = options.kit
     if options.plates:
         kit = with_plates(None if kit is None else load_kit(kit))
-    is_png = options.preview.suffix.lower() == ".png"
     check_new(
         options.preview,
         "--preview",
         *(options.design, options.kit, options.layout, options.old),
-        overwrite=options.overwrite or not is_png,  # Another name is never written to.
+        overwrite=options.overwrite,
     )
-    if not is_png:
-        raise InputError("--preview", str(options.preview), "a name that ends in .png")
+    check_png(options.preview, "--preview")
     found = preview(options.design, options.preview, kit=kit, overwrite=True, **reading_of(options))
     shape, cells = list(found.wanted.shape), int(found.wanted.sum())
     common, note = _reading(found.iou, found.note)

@@ -100,14 +100,10 @@ class _Elevations:
 def read_elevations(document: Any, source: str) -> Drawing:
     """The elevation JSON of ``docs/designs.md``; its two format keys may be missing."""
     given = mapping(document, source)
+    if "elevations" not in given:
+        raise InputError(source, sorted(given) or "no keys", "the key 'elevations'")
     root = {"format": _FORMAT, "version": 1, **given}
-    try:
-        file, _ = read_document(_Elevations, root, source, _FORMAT, 1, *_IGNORED)
-    except InputError as error:
-        if error.got != sorted(root):
-            raise
-        # The keys of the file alone.
-        raise InputError(error.what, sorted(given) or "no keys", error.expected) from None
+    file, _ = read_document(_Elevations, root, source, _FORMAT, 1, *_IGNORED)
     if not 1 <= len(file.elevations) <= len(SIDES):
         got = f"{len(file.elevations)} of them"
         raise InputError(f"{source}: elevations", got, "1 to 4 elevations")

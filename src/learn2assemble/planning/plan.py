@@ -339,8 +339,10 @@ class Plan:
             low, high = self.friction_range
             words["friction"] = _words(low, high) if high < LARGEST else f"{low:g} or more"
         if self.complete and self.gap_range:
-            low, high = self.gap_range
-            words["joints"] = f"{_words(1e3 * low, 1e3 * high)} mm"
+            low, high = (1e3 * gap for gap in self.gap_range)
+            if low < high:  # No more is said than is proven.
+                low, high = math.ceil(100 * low - 1e-6) / 100, math.floor(100 * high + 1e-6) / 100
+            words["joints"] = f"{_words(low, high)} mm"
         return words
 
     @property

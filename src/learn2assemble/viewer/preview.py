@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 
 from learn2assemble.assembly.appearance import millimetres
+from learn2assemble.errors import InputError
 from learn2assemble.files import as_path, check_new, write_file
 from learn2assemble.jobs.build import cells_of
 
@@ -62,13 +63,25 @@ def preview(
         The cells.
 
     Raises:
-        InputError: for what is no design of cells, and a file that is there already.
+        InputError: for what is no design of cells, a name that does not end in ``.png``, and a file
+            that is there already.
     """
     path = as_path(path, "path")
     check_new(path, "preview", design, kit, overwrite=overwrite)
+    check_png(path, "path")
     found = cells_of(design, kit, reading, preview)
     write_file(path, draw(found), "preview")
     return found
+
+
+def check_png(path: Path, what: str) -> None:
+    """Refuse another name for a picture that is a PNG.
+
+    Raises:
+        InputError: naming ``what`` it was given for.
+    """
+    if path.suffix.lower() != ".png":
+        raise InputError(what, str(path), "a name that ends in .png")
 
 
 def draw(design: CellDesign) -> bytes:

@@ -154,7 +154,7 @@ def _lacking_for_props(tiling: Tiling, kit: Kit) -> dict[str, int]:
     if not kit.limited or tiling.missing:
         return {}
     structure = replace(tiling, placements=tuple(p for p in tiling.placements if not p.prop))
-    free = replace(kit, kinds=tuple(replace(kind, count=None) for kind in kit.kinds))
+    free = kit.unlimited
     hanging = unsupported(structure, free)
     props = choose_props(structure, free, {b: frozenset((b,)) for b in hanging})
     used = Counter(block.kind for block in (*structure.placements, *(props or ())))

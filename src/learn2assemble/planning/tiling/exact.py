@@ -161,10 +161,10 @@ def _impossible(wanted: np.ndarray, kit: Kit) -> tuple[str, np.ndarray]:
                 if len(at) > MAX_EXACT and (reason := _uneven(at, kit, what)):
                     return reason, np.insert(at, 2, level, axis=1)
     if kit.most_cells is not None and kit.most_cells < len(cells):
-        lacking = in_blocks(len(cells) - kit.most_cells, kit)
+        lacking = len(cells) - kit.most_cells
         return (
             f"the heap of kit `{kit.name}` has {kit.most_cells} cells; the design has "
-            f"{len(cells)}: it lacks at least {lacking}",
+            f"{len(cells)}: it lacks {lacking}, such as {in_blocks(lacking, kit)}",
             none,
         )
     return "", none
@@ -334,7 +334,7 @@ class _TilingSearch:
                 found = self.again.found
                 bad = found.blocks(kit, np.flatnonzero(found.support <= FIRM))
                 return made, None, [(frozenset((block,)), True) for block in bad]
-            endless = replace(kit, kinds=tuple(replace(k, count=None) for k in kit.kinds))
+            endless = kit.unlimited
             bad = [
                 b
                 for b in hanging
@@ -488,8 +488,7 @@ def _not_carried(
     """
     why, wanted = "props are not allowed", structure.wanted
     if props is not None:
-        free = replace(kit, kinds=tuple(replace(kind, count=None) for kind in kit.kinds))
-        lacks = kit.limited and choose_props(structure, free, props) is not None
+        lacks = kit.limited and choose_props(structure, kit.unlimited, props) is not None
         why = "the heap has too few blocks left for props" if lacks else "no prop reaches them"
     cells = uncarried_cells(wanted, kit)
     reason = describe_lack(kit, wanted, cells) if len(cells) else ""

@@ -347,7 +347,7 @@ def describe_cells(wanted: np.ndarray, cells: np.ndarray) -> tuple[str, int, Cel
 
 
 def in_blocks(cells: int, kit: Kit) -> str:
-    """The fewest blocks of ``kit`` that have so many cells, the largest first, in words."""
+    """Blocks of ``kit`` that have so many cells or a few more, the largest first, in words."""
     kinds = sorted(kit.kinds, key=lambda kind: -len(kind.cells))
     found = dict[str, int]()
     for kind in kinds:

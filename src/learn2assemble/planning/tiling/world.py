@@ -15,7 +15,7 @@ the new state stands. Candidates are found once; every placement then changes on
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -134,9 +134,7 @@ def make_site(wanted: np.ndarray, kit: Kit, props: bool = False) -> LatticeSite:
     z = found.cell % wanted.shape[2]
     rests = found.lowest & (z > 0) & wanted.reshape(-1)[np.maximum(found.cell - 1, 0)]
     on_start, on = _grouped(found.cell[rests] - 1, candidate[rests], cells)
-    weight, centre = _bodies(
-        replace(kit, kinds=tuple(replace(kind, count=None) for kind in kit.kinds))
-    )
+    weight, centre = _bodies(kit.unlimited)
     limits = [-1 if kind.count is None else kind.count for kind in kit.kinds]
     return LatticeSite(
         wanted,
