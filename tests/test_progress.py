@@ -78,11 +78,13 @@ def test_compiling_is_told_with_the_time_it_is_part_of(monkeypatch: pytest.Monke
         "41.5 s, of which 38 s compiling once for this machine"
     )
     assert compiling.spent_words(1.6, 0.4) == "1.6 s"
+    assert compiling.spent_words(55.9, 55.9).startswith("55.9 s, of which 55 s "), "a part of it"
     compiling_seconds(time.monotonic)  # From now on it is watched.
     watched = compiling._watched()
     beat = output.Heartbeat("choosing blocks", 60.0)
     assert beat.words(beat.started + 5).startswith("l2a: choosing blocks ... 5 s, at most ")
-    monkeypatch.setitem(watched.spent, time.monotonic, 30.0)
+    compiled = watched.spent[time.monotonic]
+    monkeypatch.setitem(watched.spent, time.monotonic, compiled + 30.0)
     assert beat.words(beat.started + 35).endswith("choosing blocks ... 35 s, at most 55 s left")
     watched.begin()
     try:

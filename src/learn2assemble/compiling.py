@@ -69,9 +69,9 @@ def spent_words(seconds: float, compiled: float) -> str:
         seconds: in all.
         compiled: of these, in which kernels were compiled; a second or less is not told.
     """
-    share = min(compiled, seconds)
-    part = f", of which {share:.0f} s compiling once for this machine"
-    return f"{seconds:.1f} s" + part * (share > TOLD)
+    share = min(round(compiled), int(seconds))
+    part = f", of which {share} s compiling once for this machine"
+    return f"{seconds:.1f} s" + part * (compiled > TOLD)
 
 
 @lru_cache(maxsize=1)

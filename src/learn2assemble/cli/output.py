@@ -45,6 +45,7 @@ class Heartbeat:
         self.phase: str = phase
         self.limit = limit
         self.started = self.told = time.monotonic()
+        self._compiled_before, _ = compiling_so_far()
         self._shown, self._lock, self._done = False, threading.Lock(), threading.Event()
 
     def __enter__(self) -> Heartbeat:
@@ -75,7 +76,8 @@ class Heartbeat:
         """The line at a time of the monotonic clock."""
         spent = now - self.started
         compiled, compiling = compiling_so_far()
-        used = max(spent - compiled, 0.0)  # No limit counts compiling.
+        # No limit counts compiling.
+        used = max(spent - (compiled - self._compiled_before), 0.0)
         left = "" if self.limit is None else f", at most {max(self.limit - used, 0):.0f} s left"
         phase = "compiling, once for this machine" if compiling > 0.2 else self.phase
         return f"l2a: {phase} ... {spent:.0f} s{left}"

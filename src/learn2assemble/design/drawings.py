@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.errors import InputError, UnknownNameError, closest
 from learn2assemble.files import FARTHEST
 from learn2assemble.values import Range, mapping, read_document
 
@@ -100,7 +100,7 @@ class _Elevations:
 def read_elevations(document: Any, source: str) -> Drawing:
     """The elevation JSON of ``docs/designs.md``; its two format keys may be missing."""
     given = mapping(document, source)
-    if "elevations" not in given:
+    if "elevations" not in given and not any(closest(key, ["elevations"]) for key in given):
         raise InputError(source, sorted(given) or "no keys", "the key 'elevations'")
     root = {"format": _FORMAT, "version": 1, **given}
     file, _ = read_document(_Elevations, root, source, _FORMAT, 1, *_IGNORED)
