@@ -135,6 +135,37 @@ def proof() -> Figure:
     return figure
 
 
+def _cells(axes: Axes, cells: Any, at: Any, size: float, tone: str = "#dff0f2") -> None:
+    """Cells of a lattice (x, y, z), seen from the front, the right and above."""
+    across, deep, up = size * np.array([[1, 0], [0.45, 0.41], [0, 1.45]])
+    for x, y, z in sorted(cells, key=lambda cell: (-cell[1], cell[2], cell[0])):
+        corner = at + x * across + y * deep + z * up
+        for a, b, off, shade in (
+            (across, up, 0 * up, tone),
+            (across, deep, up, "white"),
+            (up, deep, across, FILL),
+        ):
+            face = [corner + off, corner + off + a, corner + off + a + b, corner + off + b]
+            axes.add_patch(Polygon(face, fc=shade, ec=INK, lw=0.6))
+
+
+def kits() -> Figure:
+    """Kinds of two kits of the package, each as the cells it takes."""
+    from learn2assemble.assembly.kit import load_kit
+
+    (figure, axes), size = _panel(10, 2.7), 0.15
+    for y, name in ((1.75, "bricks-lintels"), (0.5, "tetrominoes")):
+        axes.text(0.3, y + 0.78, name, color=SOFT)
+        left = 0.3
+        for kind in load_kit(name).kinds:
+            colour = kind.colour or (223, 240, 242)
+            _cells(axes, kind.cells, (left, y), size, "#{:02x}{:02x}{:02x}".format(*colour))
+            wide, deep, _ = np.max(kind.cells, 0) + 1
+            axes.text(left + 0.5 * size * wide, y - 0.24, kind.name, ha="center", color=SOFT, fontsize=8)
+            left += size * (wide + 0.45 * deep) + 0.12
+    return figure
+
+
 def sides() -> Figure:
     """Elevations, what is to be seen from two sides, and the lattice between them."""
     figure, axes = _panel(9, 3.0)
@@ -147,15 +178,8 @@ def sides() -> Figure:
         axes.text(left + 0.25 * cells.shape[1], 0.25, name, ha="center", color=SOFT)
     _arrow(axes, (3.4, 1.3), (4.0, 1.3))
     _arrow(axes, (6.0, 1.3), (5.4, 1.3))
-    base = np.array([4.15, 0.75])
-    across, deep, up = np.array([0.22, 0.0]), np.array([0.1, 0.09]), np.array([0.0, 0.32])
-    for x, y, z in ((x, y, z) for y in (2, 1, 0) for z in range(3) for x in range(5)):
-        if front[z, x] and side[z, y]:
-            at = base + x * across + y * deep + z * up
-            for a, b, tone in ((across, up, "#dff0f2"), (across, deep, "white"), (up, deep, FILL)):
-                off = up if tone == "white" else across if tone == FILL else 0 * up
-                face = [at + off, at + off + a, at + off + a + b, at + off + b]
-                axes.add_patch(Polygon(face, fc=tone, ec=INK, lw=0.6))
+    cells = [(x, y, z) for z, x in np.argwhere(front) for y in range(3) if side[z, y]]
+    _cells(axes, cells, (4.15, 0.75), 0.22)
     return figure
 
 
@@ -411,7 +435,7 @@ def learning() -> Figure:
 
 DRAWINGS: dict[str, Draw] = {
     draw.__name__: draw
-    for draw in (flow, rooms, proof, sides, attempt, speeds, layout, camera, wall, scores, tables)
+    for draw in (flow, rooms, proof, sides, kits, attempt, speeds, layout, camera, wall, scores, tables)
 } | {draw.__name__: draw for draw in (graph, tree, learning, board)}
 PAGES = {
     "architecture.md": ("rooms", "The rooms of the code; imports point down"),
@@ -423,6 +447,7 @@ PAGES = {
     ),
     "bricks.md": ("gallery/lego_dome", "A hollow dome of LEGO"),
     "building.md": ("gallery/house", "A gabled house of bricks and lintels"),
+    "check.md": ("gallery/stones", "Stones that stand on edges and points, too"),
     "commands.md": ("flow", "From a drawing to a robot"),
     "design_files.md": ("gallery/figure", "A picture became a wall"),
     "designs.md": ("sides", "Two elevations and the blocks that fill them"),
@@ -431,10 +456,13 @@ PAGES = {
     "gallery.md": ("gallery/turned_wall", "A wall of turned bricks"),
     "from_lego.md": ("gallery/lego_tower", "A tower of bricks, from an LDraw file"),
     "from_rhino.md": ("gallery/arch", "An arch, and the posts that carry it for a while"),
+    "given_blocks.md": ("gallery/stair", "Steps of a stair, each proven as it comes"),
     "goals.md": ("gallery/goals", "A structure that was invented for its goals"),
     "howto.md": ("gallery/soma", "A puzzle from a kit of one's own"),
     "instructions.md": ("gallery/lego_tower", "A tower of bricks"),
+    "kits.md": ("kits", "Kinds of two kits, by name"),
     "layouts.md": ("layout", "Base, blocks that wait, and the site, from above"),
+    "methods/builder.md": ("gallery/gate", "A gate of bricks and two lintels"),
     "methods/dqn.md": ("learning", "Returns of five agents of DQN while they learn"),
     "methods/relational.md": ("graph", "Nodes of the graph, and the placements that are scored"),
     "methods/search.md": ("tree", "A small tree before every decision"),
@@ -447,6 +475,8 @@ PAGES = {
     "sensing.md": ("camera", "A depth camera tells a pose and how sure it is"),
     "tables.md": ("tables", "Returns of table T2 beside the paper's"),
     "trajectory.md": ("attempt", "Height of the tool in three attempts, with their stages"),
+    "two_arms.md": ("gallery/two_arms", "A Panda and a UR5e build a pyramid at the same time"),
+    "with_arm.md": ("gallery/panda", "A Panda puts a block down"),
     "tutorial.md": ("gallery/gate", "The gate of the tutorial"),
 }
 """The picture of a page, and what a reader who does not see it is told."""

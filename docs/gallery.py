@@ -27,6 +27,8 @@ AT_ONCE = 2
 """Builds at one time."""
 LIMIT = 300.0
 """Longest build [s]."""
+MOMENT = 0.6
+"""Where an arm built, the share of the build after which it is shown."""
 FILM = {"width": 480, "every": 10, "colours": 48, "milliseconds": 90}
 """Of a moving picture: width [px], every which frame of the video, colours, time of a frame."""
 
@@ -39,6 +41,8 @@ class Entry(NamedTuple):
     text: str
     command: str
     """``OUT`` stands for the folder it writes."""
+    turn: float = 0.0
+    """So far the structure is turned in its picture [deg]."""
 
     @property
     def shown(self) -> str:
@@ -93,8 +97,11 @@ def make(entry: Entry) -> dict[str, Any]:
     """
     import shutil
 
+    from PIL import Image
+
     import learn2assemble as l2a
     from learn2assemble.viewer.picture import write_progress
+    from learn2assemble.viewer.video import Frames
 
     facts = entry.facts()
     if facts:
@@ -111,11 +118,15 @@ def make(entry: Entry) -> dict[str, Any]:
     if done.returncode or not (entry.folder / "plan.json").is_file():
         raise RuntimeError(f"gallery, {entry.name}: {entry.command}\n{done.stderr[-2000:]}")
     plan = l2a.load_plan(entry.folder)
-    write_progress(plan, entry.picture, moments=1)
+    if plan.records:
+        cell = Frames(plan, plan.records)
+        Image.fromarray(cell.picture(MOMENT * cell.playback.duration)).save(entry.picture)
+    else:
+        write_progress(plan, entry.picture, moments=1, turn=entry.turn, title=False)
     if is_empty(entry.picture):
         raise RuntimeError(f"gallery, {entry.name}: the picture shows nothing")
     blocks = 0 if plan.assembly is None else len(plan.assembly.blocks)
-    arm = plan.record.arm.name if plan.record is not None else ""
+    arm = " and ".join(record.arm.name for record in plan.records)
     facts = {"command": entry.command, "seconds": seconds, "blocks": blocks, "arm": arm}
     entry.told.write_text(json.dumps(facts), encoding="utf-8")
     return facts
@@ -140,7 +151,7 @@ def page(facts: dict[str, dict[str, Any]]) -> str:
     ]
     for one in entries():
         told = facts[one.name]
-        arm = f", built by the arm {told['arm']}" if told["arm"] else ""
+        arm = f", built by {told['arm']}" if told["arm"] else ""
         lines += [
             f"\n## {one.title}",
             f"\n![{one.title}](gallery/{one.name}.png){{ width=420 }}",

@@ -29,7 +29,9 @@ from learn2assemble.tasks.task import PRESETS
 
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 ALL_PAGES = [*PAGES, *(ROOT / f"{name}.md" for name in ("CONTRIBUTING", "CHANGELOG", "SECURITY"))]
-FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)
+FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.M | re.S)
+FILE = re.compile(r'^```\w+ title="([\w.]+)"\n(.*?)^```', re.M | re.S)
+"""A block that a reader saves under the name it has."""
 COMMAND = re.compile(r"^\s*(?:\.venv/bin/)?(l2a(?:-lab)?)\s+(.*)$", re.M)
 PROGRAMS = {program.name: program for program in (L2A, command_line())}
 _SMALL = ("num_envs=4", "network.width=16", "batch_size=4", "initial_samples=4")
@@ -62,6 +64,13 @@ PARSED = {
 """Commands with these words are only parsed, and why (seconds of the processor)."""
 OWN_ARM = "six"
 """Commands with this word need an arm of one's own."""
+
+
+FILES = {
+    name: content
+    for page in PAGES
+    for name, content in FILE.findall(page.read_text(encoding="utf-8"))
+}
 
 
 def commands() -> list[tuple[str, str, list[str]]]:
@@ -99,7 +108,7 @@ def test_a_command_of_a_document_is_accepted(page: str, program: str, words: lis
     task = getattr(options, "task", None)
     assert task is None or task in PRESETS, page
     design = getattr(options, "design", None)
-    assert design is None or (ROOT / design).is_file() or design in PRESETS, page
+    assert design is None or (ROOT / design).is_file() or design in {*PRESETS, *FILES}, page
     agent = getattr(options, "agent", None)
     assert agent is None or "/" in agent or agent in agent_files(), page
 
@@ -154,6 +163,8 @@ def test_the_commands_of_the_documents_run(
     for name in ("examples", "tests"):
         (tmp_path / name).symlink_to(ROOT / name)
     shutil.copytree(ROOT / "results", tmp_path / "results")
+    for name, content in FILES.items():
+        (tmp_path / name).write_text(content, encoding="utf-8")
     for program, words in GROUPS[pages]:
         code = main(small(words), PROGRAMS[program])
         assert code == 0, (" ".join(words), capsys.readouterr().err[-500:])

@@ -53,11 +53,23 @@ def test_a_kit_file_says_it_all(tmp_path: Path) -> None:
     assert load_kit(str(path)) == kit
 
 
+def test_a_short_kit_file_is_the_long_one(tmp_path: Path) -> None:
+    """Only kinds are needed: the head, and names, are those that everybody would give."""
+    path = tmp_path / "short.toml"
+    path.write_text("kinds = [{box = [1, 1, 1], count = 9}, {box = [4, 2, 1]}, {box = [2, 1, 3]}]")
+    kit = load_kit(path)
+    assert (kit.name, kit.pitch) == ("short", Kit.pitch)
+    assert [(kind.name, kind.count) for kind in kit.kinds] == [
+        *(("1x1", 9), ("2x4", None), ("1x2x3", None)),
+    ]
+    head = HEAD.replace("mine", "short")
+    assert parse_kit(head + path.read_text()) == kit
+
+
 @pytest.mark.parametrize(
     ("content", "named"),
     [
         ("pitch =", "TOML"),
-        (BRICK, "format"),
         (HEAD, "kinds"),
         (HEAD + "kinds = []\n", "kinds"),
         (HEAD + "kinds = 3\n", "kinds"),
@@ -74,7 +86,9 @@ def test_a_kit_file_says_it_all(tmp_path: Path) -> None:
         (HEAD + BRICK + BRICK, "1x2"),
         (HEAD + BRICK + "cells = [[0, 0, 0]]\n", "'box' or 'cells'"),
         (HEAD + '[[kinds]]\nname = "a"\n', "'box' or 'cells'"),
-        (HEAD + "[[kinds]]\nbox = [1, 1, 1]\n", "name"),
+        (HEAD + "[[kinds]]\ncells = [[0, 0, 0]]\n", "the key 'name'"),
+        (HEAD + "[[kinds]]\nbox = [2, 1, 1]\n" + BRICK, "every name once"),
+        ("", "the key 'kinds'"),
         (HEAD + '[[kinds]]\nname = ""\nbox = [1, 1, 1]\n', "name"),
         (HEAD + '[[kinds]]\nname = "a"\nbox = [0, 1, 1]\n', "box"),
         (HEAD + '[[kinds]]\nname = "a"\nbox = [1.5, 1, 1]\n', "box"),

@@ -1,11 +1,12 @@
 """Kits of blocks as data: what kinds there are, how many, and what they are made of.
 
 A kit lives on a lattice. A *kind* is a set of lattice cells that are glued together; it may be
-turned by quarters about the vertical, or lie on any of its sides, as the kit allows. A file::
+turned by quarters about the vertical, or lie on any of its sides, as the kit allows. A file, of
+which only the kinds are needed::
 
     format = "learn2assemble-kit"
     version = 1
-    name = "bricks"
+    name = "bricks"              # else that of the file
     pitch = [0.05, 0.05, 0.05]   # edges of a lattice cell [m]
     density = 800.0              # [kg/m3]
     friction = 0.5               # Coulomb coefficient between blocks
@@ -17,7 +18,7 @@ turned by quarters about the vertical, or lie on any of its sides, as the kit al
     capacity = 0.70              # [N] a contact point
 
     [[kinds]]
-    name = "2x4"
+    name = "2x4"                 # else that of the edges of its box
     box = [4, 2, 1]              # or cells = [[0, 0, 0], [1, 0, 0], ...]
     count = 12                   # optional; without it there is no limit
     colour = "#b5523b"           # optional
@@ -155,7 +156,7 @@ def _colour(value: Any, where: str) -> Colour:
 
 @dataclass(frozen=True)
 class _KindFile:
-    name: str
+    name: str | None = None
     box: tuple[_Size, _Size, _Size] | None = None
     cells: tuple[tuple[_Place, _Place, _Place], ...] | None = None
     count: Annotated[int, Range(0, MAX_COUNT, "blocks")] | None = None
@@ -277,9 +278,10 @@ def parse_kit(content: str, source: str = "kit") -> Kit:
     try:
         root = tomllib.loads(content)
     except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
-        words = "a kit file, which is TOML (docs/building.md)"
+        words = "a kit file, which is TOML (docs/kits.md)"
         raise InputError(source, printable(str(error)), words) from None
-    file, head = read_document(_KitFile, root, source, FORMAT, VERSION, "joint")
+    given = {"format": FORMAT, "version": VERSION, "name": Path(source).stem[:MAX_NAME].strip(), **root}
+    file, head = read_document(_KitFile, given, source, FORMAT, VERSION, "joint")
     if not 1 <= len(file.kinds) <= MAX_KINDS:
         raise InputError(f"{source}: kinds", f"{len(file.kinds)} kinds", f"1 to {MAX_KINDS}")
     if file.joint_gap > min(file.pitch) / 4:
@@ -318,7 +320,6 @@ def _joint(given: Any, file: _KitFile, kinds: tuple[Kind, ...], source: str) -> 
 
 
 def _kind(given: _KindFile, where: str, cell: float) -> Kind:
-    _check_name(given.name, f"{where}.name")
     if given.box is not None and given.cells is None:
         if math.prod(given.box) > MAX_CELLS:
             raise InputError(f"{where}.box", list(given.box), f"at most {MAX_CELLS} cells")
@@ -335,7 +336,21 @@ def _kind(given: _KindFile, where: str, cell: float) -> Kind:
         density = given.mass / (len(cells) * cell)
         if not 1e-2 <= density <= 1e6:
             raise InputError(f"{where}.mass", given.mass, "a mass of 0.01 to 1e6 kg/m3")
-    return Kind(given.name, cells, given.count, given.colour, density, given.turns)
+    name = given.name if given.name is not None else _box_name(given.box, where)
+    _check_name(name, f"{where}.name")
+    return Kind(name, cells, given.count, given.colour, density, given.turns)
+
+
+def _box_name(box: tuple[int, int, int] | None, where: str) -> str:
+    """The name of a box that has none, as those of the package: ``2x4``, or ``2x4x3`` of height 3.
+
+    Raises:
+        InputError: for a kind that is no box.
+    """
+    if box is None:
+        raise InputError(where, "a kind of cells without a name", "the key 'name'")
+    *sides, height = box
+    return "x".join(map(str, (*sorted(sides), height) if height > 1 else sorted(sides)))
 
 
 def _check_name(name: str, where: str) -> None:

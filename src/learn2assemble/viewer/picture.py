@@ -31,12 +31,16 @@ _FOCAL = 2.2
 """Focal length in picture widths."""
 
 
-def write_progress(plan: Plan, path: Path, moments: int = MOMENTS) -> None:
+def write_progress(
+    plan: Plan, path: Path, moments: int = MOMENTS, turn: float = 0.0, title: bool = True
+) -> None:
     """Write a PNG of the structure after some of its steps, the last one among them; of a plan
     without steps all blocks are shown once.
 
     Args:
         moments: how often it is shown at most; once: what stands in the end.
+        turn: of the structure about the vertical, counter-clockwise from above [deg].
+        title: whether words stand above what is shown.
 
     Raises:
         InputError: for a plan whose blocks are not known, and where the file cannot be written.
@@ -57,14 +61,14 @@ def write_progress(plan: Plan, path: Path, moments: int = MOMENTS) -> None:
     triangles, colour = _triangles(assembly, targets, plan.design.boxes)
     buffers = renderer.Buffers(triangles, WIDTH, HEIGHT)
     bodies = len(assembly.blocks) + 3
-    place, turn = np.zeros((bodies, 3)), np.tile(np.eye(3), (bodies, 1, 1))
+    place, axes = np.zeros((bodies, 3)), np.tile(np.eye(3), (bodies, 1, 1))
     points = np.concatenate([block.vertices for block in assembly.blocks])
     ends = [corner for box in plan.design.boxes for corner in (box.low, box.high)]
     seen = np.array([points.min(0), points.max(0), *ends])
     low, high = seen.min(0), seen.max(0)
     camera, light = (
-        _camera(low, high),
-        renderer.sunlight(_SUN, points, 0.1 * float((high - low).max())),
+        _camera(low, high, turn),
+        renderer.sunlight(_turned(_SUN, turn), points, 0.1 * float((high - low).max())),
     )
     for number, step in enumerate(after.tolist()):
         shown = np.append(_standing(assembly, step), [True] * 3)
@@ -75,12 +79,14 @@ def write_progress(plan: Plan, path: Path, moments: int = MOMENTS) -> None:
             buffers,
             camera,
             light,
-            renderer.BodyStates(place, turn, shown, painted),
+            renderer.BodyStates(place, axes, shown, painted),
             np.array(_SKY, np.float32),
             np.array(_RIM, np.float32),
         )
         corner = (number % columns * WIDTH, number // columns * HEIGHT)
         sheet.paste(Image.fromarray(picture), corner)
+        if not title:
+            continue
         text = f"after step {step} of {steps}" if steps and moments > 1 else assembly.name
         if targets and step:
             text += f": {percent(plan.steps[int(step) - 1].coverage)} covered".replace(
@@ -167,11 +173,17 @@ def _rim(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([lower, upper]), np.concatenate(marks)
 
 
-def _camera(low: np.ndarray, high: np.ndarray) -> renderer.Camera:
-    """Sees all between these corners, float64[3] each [m]."""
+def _camera(low: np.ndarray, high: np.ndarray, turn: float) -> renderer.Camera:
+    """Sees all between these corners, float64[3] each [m], turned so far [deg]."""
     centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    back = _VIEW / np.linalg.norm(_VIEW)
+    back = _turned(_VIEW, turn) / np.linalg.norm(_VIEW)
     focal = _FOCAL * WIDTH
     distance = radius * (1.15 * focal / (min(WIDTH, HEIGHT) / 2))
     middle = np.array([WIDTH / 2, HEIGHT / 2 + 14])
     return renderer.Camera(centre + distance * back, renderer.view_axes(back), focal, middle)
+
+
+def _turned(direction: np.ndarray, turn: float) -> np.ndarray:
+    """A direction to what does not turn, float64[3], as the structure sees it [deg]."""
+    cos, sin = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+    return np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) @ direction

@@ -123,11 +123,12 @@ class Frames:
     def frame(self, clock: float) -> np.ndarray:
         """uint8[HEIGHT, WIDTH, 3] at a time of the replay [s]."""
         image = Image.new("RGB", (WIDTH, HEIGHT), PAPER)
-        image.paste(Image.fromarray(self._picture(clock)))
+        image.paste(Image.fromarray(self.picture(clock)))
         self._words(image, clock)
         return np.array(image)
 
-    def _picture(self, clock: float) -> np.ndarray:
+    def picture(self, clock: float) -> np.ndarray:
+        """uint8[H, W, 3]: the cell, without words, at a time of the replay [s]."""
         segment = self.playback.segment_at(clock)
         shown = np.ones(self.count, bool)
         release = segment.step.release
