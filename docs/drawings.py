@@ -161,7 +161,8 @@ def kits() -> Figure:
             colour = kind.colour or (223, 240, 242)
             _cells(axes, kind.cells, (left, y), size, "#{:02x}{:02x}{:02x}".format(*colour))
             wide, deep, _ = np.max(kind.cells, 0) + 1
-            axes.text(left + 0.5 * size * wide, y - 0.24, kind.name, ha="center", color=SOFT, fontsize=8)
+            middle = left + 0.5 * size * wide
+            axes.text(middle, y - 0.24, kind.name, ha="center", color=SOFT, fontsize=8)
             left += size * (wide + 0.45 * deep) + 0.12
     return figure
 
@@ -435,8 +436,8 @@ def learning() -> Figure:
 
 DRAWINGS: dict[str, Draw] = {
     draw.__name__: draw
-    for draw in (flow, rooms, proof, sides, kits, attempt, speeds, layout, camera, wall, scores, tables)
-} | {draw.__name__: draw for draw in (graph, tree, learning, board)}
+    for draw in (flow, rooms, proof, sides, kits, attempt, speeds, layout, camera, wall, scores)
+} | {draw.__name__: draw for draw in (tables, graph, tree, learning, board)}
 PAGES = {
     "architecture.md": ("rooms", "The rooms of the code; imports point down"),
     "arms.md": ("gallery/panda", "What a Panda has built"),

@@ -280,8 +280,8 @@ def parse_kit(content: str, source: str = "kit") -> Kit:
     except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
         words = "a kit file, which is TOML (docs/kits.md)"
         raise InputError(source, printable(str(error)), words) from None
-    given = {"format": FORMAT, "version": VERSION, "name": Path(source).stem[:MAX_NAME].strip(), **root}
-    file, head = read_document(_KitFile, given, source, FORMAT, VERSION, "joint")
+    head = {"format": FORMAT, "version": VERSION, "name": Path(source).stem[:MAX_NAME].strip()}
+    file, head = read_document(_KitFile, head | root, source, FORMAT, VERSION, "joint")
     if not 1 <= len(file.kinds) <= MAX_KINDS:
         raise InputError(f"{source}: kinds", f"{len(file.kinds)} kinds", f"1 to {MAX_KINDS}")
     if file.joint_gap > min(file.pitch) / 4:
