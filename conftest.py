@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -20,8 +22,17 @@ settings.load_profile("repeatable")
 os.environ["LEARN2ASSEMBLE_AGENTS"] = str(Path(__file__).parent / "out" / "no-agents")
 
 
-TASKS = "learn2assemble.tasks", "learn2assemble.envs", "learning_data"
+PARTS = "product", "tasks", "laboratory"
+TASKS = re.compile(r"^ *(from|import) (learn2assemble\.(tasks|envs)|learning_data)\b", re.MULTILINE)
 """What a test imports that is of the wing of the paper."""
+
+
+@cache
+def part_of(path: Path) -> str:
+    """The part that the tests of a file are of: tests that import tasks are of those."""
+    if "laboratory" in path.parts:
+        return "laboratory"
+    return "tasks" if TASKS.search(path.read_text(encoding="utf-8")) else "product"
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -36,19 +47,22 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.write_line(f"order of the tests: --randomly-seed={seed}")
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Of one part that is asked for alone no file of another one is loaded: the product is tested
+    without PyTorch and without the laboratory (``pytest -m product``)."""
+    asked = config.getoption("markexpr").split(" and ")
+    if collection_path.suffix != ".py" or len({*asked} & {*PARTS}) != 1 or " or " in str(asked):
+        return None
+    return part_of(collection_path) not in asked or None
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Every test is of one part: the product, the tasks of the paper, the laboratory.
 
     The plug-in that puts them into a random order does it before this.
     """
-    part: dict[Path, str] = {}
     for item in items:
-        if item.path not in part:
-            text = item.path.read_text(encoding="utf-8")
-            of_tasks = any(name in text for name in TASKS)
-            lab = "laboratory" in item.path.parts
-            part[item.path] = "laboratory" if lab else "tasks" if of_tasks else "product"
-        item.add_marker(part[item.path])
+        item.add_marker(part_of(item.path))
     # Long ones come first: none is begun when the other processes are out of work.
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 import learn2assemble as l2a
+from cell_shapes import wall
 from headless import SPATIAL, browse, find_browser
-from l2a_lab import shapes
 from learn2assemble.assembly.appearance import PALETTE
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep
 from learn2assemble.assembly.boxes import box_block
@@ -50,7 +50,7 @@ def reason_of(wanted: np.ndarray, kit: str) -> str:
 
 
 def test_a_kit_that_is_advised_builds_the_design() -> None:
-    gate = shapes.wall(8, 1, 6, (2, 6, 0, 4))
+    gate = wall(8, 1, 6, (2, 6, 0, 4))
     reason = reason_of(gate, "cubes")
     name = reason.rsplit("; kit `", 1)[1].split("`")[0]
     tiling, ordering = plan_exact(gate, load_kit(name).at_pitch(CELL))
@@ -84,7 +84,7 @@ def test_a_ball_is_tried_on_a_flat_base() -> None:
 
 def test_larger_cells_are_tried_and_longer_blocks_span_more() -> None:
     """A bar of eight cells bridges eight cells of this size only where cells are twice as large."""
-    gate = shapes.wall(16, 1, 4, (3, 13, 0, 2))
+    gate = wall(16, 1, 4, (3, 13, 0, 2))
     kit = load_kit("bricks-lintels")
     trials = {text: rest for text, *rest in _trials(Tiling((), gate), kit, {})}
     cells, larger, _ = trials["with cells twice as large it stands"]

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import learn2assemble as l2a
+from cell_shapes import wall
 from headless import SPATIAL, pixels, shoot
-from l2a_lab import shapes
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.compas import write_compas
@@ -247,7 +247,7 @@ def test_a_block_that_cannot_be_placed_is_to_blame() -> None:
 
 def test_tight_joints_are_used_where_no_gap_is_asked_for_and_said() -> None:
     """Two blocks of four cells meet over a gap of four: only their side faces hold them."""
-    wanted = shapes.bridge(1, 4, 3, 2, 1, 1)
+    wanted = wall(10, 1, 3, (3, 7, 0, 2))
     design = CellDesign("deck", wanted, (0.05, 0.05, 0.05), None, 0.0, None, "test", None)
     plan = plan_cells(design, "bricks", gap=0.0, friction=(0.5, 0.6))
     assert plan.complete, plan.reason
@@ -345,7 +345,7 @@ def test_given_blocks_are_proven_for_joints_that_open(shift: float) -> None:
 
 
 def test_given_blocks_that_press_with_their_sides_need_closed_joints() -> None:
-    wanted = shapes.bridge(1, 4, 3, 2, 1, 1)
+    wanted = wall(10, 1, 3, (3, 7, 0, 2))
     tiling = tile(wanted, load_kit("bricks"))
     made = to_assembly(tiling, None, load_kit("bricks"), gap=0.0)
     for gap in (None, 0.0):

@@ -11,7 +11,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from l2a_lab import shapes
+from cell_shapes import SHAPES, wall
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import check_overlaps, find_contacts
 from learn2assemble.assembly.kit import Kind, Kit, load_kit
@@ -90,13 +90,13 @@ def states(assembly: Assembly) -> list[Assembly]:
 
 def deck(gap: int) -> np.ndarray:
     """Two levels of cells on two piers, ``gap`` cells apart."""
-    return shapes.bridge(1, gap, 3, 3, 1)
+    return wall(gap + 6, 1, 5, (3, gap + 3, 0, 3))
 
 
 @cache
 def ordered(name: str) -> tuple[Tiling, Ordering | None]:
     """Blocks and order of a shape, which several tests look at."""
-    return plan_exact(shapes.SHAPES[name](), LINTELS)
+    return plan_exact(SHAPES[name], LINTELS)
 
 
 # ---------------------------------------------------------------- the local proof
@@ -224,7 +224,7 @@ def test_every_state_of_a_shape_is_proven_again(name: str) -> None:
 
 
 def test_a_lintel_without_its_bearing_needs_props_that_are_removed_again() -> None:
-    wanted = shapes.SHAPES["bridge-long"]()
+    wanted = SHAPES["bridge-long"]
     tiling, ordering = ordered("bridge-long")
     assert ordering is not None
     assert ordering.status == "complete"
@@ -258,7 +258,7 @@ def test_ways_out() -> None:
 
 def test_props_leave_one_after_the_other_before_the_next_level() -> None:
     """Of a closed dome, through what is open on top while its ring is being carried."""
-    tiling = tile(shapes.SHAPES["dome-lean"](), LINTELS)
+    tiling = tile(SHAPES["dome-lean"], LINTELS)
     hanging = unsupported(tiling, LINTELS)
     props = choose_props(tiling, LINTELS, {block: frozenset((block,)) for block in hanging})
     assert props
@@ -292,7 +292,7 @@ def test_props_leave_one_after_the_other_before_the_next_level() -> None:
 
 
 def test_props_obey_the_heap() -> None:
-    wanted = shapes.bridge(1, 5, 1, 3, 1, 3)
+    wanted = wall(7, 1, 6, (1, 6, 0, 3))
     free, _ = plan_exact(wanted, LINTELS)
     assert free.status == "complete"
     assert any(block.prop for block in free.placements)
@@ -371,7 +371,7 @@ def test_a_design_is_refused_exactly_where_no_tiling_stands(wanted: np.ndarray) 
 
 def test_a_mechanism_rules_out_only_what_falls() -> None:
     """Every tiling that meets none of the joints of a mechanism falls, brute force."""
-    wanted = shapes.letter("###/##./##.", 1)
+    wanted = wall(3, 1, 3, (2, 3, 0, 2))
     everything = list(covers(wanted, SMALL))
     falls = tile(wanted, SMALL)
     blocks = [blocks_of(wanted, SMALL, picked) for picked in everything]
@@ -423,13 +423,13 @@ def test_what_falls_with_tight_joints_too_falls_in_every_tiling(wanted: np.ndarr
 
 def test_blocks_are_chosen_again_until_tight_joints_hold_them() -> None:
     """A cell beside a post falls as a cube; half of a bar, it is balanced without a margin."""
-    wanted = shapes.letter("##/#./#.", 1)
+    wanted = wall(2, 1, 3, (1, 2, 0, 2))
     cubes = replace(SMALL, kinds=SMALL.kinds[:1])
     for kit, status in ((cubes, "refused"), (SMALL, "not found")):
         found = stand_by_friction(tile(wanted, cubes), kit, TIGHT, (0.5, 0.5), Clock(60))
         assert found.status == status
     # A deck of two bars stands with less friction where each is balanced and leans on the other.
-    bricks, span = load_kit("bricks"), shapes.bridge(1, 4, 3, 2, 1, 1)
+    bricks, span = load_kit("bricks"), wall(10, 1, 3, (3, 7, 0, 2))
     first = tile(span, bricks)
     for friction, same in ((0.5, True), (0.3, False)):
         found = stand_by_friction(first, bricks, TIGHT, (friction, 0.6), Clock(60))
@@ -438,7 +438,7 @@ def test_blocks_are_chosen_again_until_tight_joints_hold_them() -> None:
 
 
 def test_a_refusal_names_cells_and_what_would_carry_them() -> None:
-    gate = shapes.wall(8, 1, 6, (2, 6, 0, 4))
+    gate = wall(8, 1, 6, (2, 6, 0, 4))
     tiling, _ = plan_exact(gate, load_kit("cubes"))
     assert tiling.status == "refused"
     assert "nothing below carries 4 cells in a row at level 4" in tiling.reason
@@ -480,7 +480,7 @@ def test_blocks_are_chosen_with_forces_exactly_where_some_tiling_stands(
 
 def test_a_region_is_decided_again_and_the_rest_stays() -> None:
     """A window of five cells in a wall of bricks: its lintels have to be clamped from above."""
-    bricks, wanted = load_kit("bricks"), shapes.wall(21, 2, 8, (8, 13, 2, 5))
+    bricks, wanted = load_kit("bricks"), wall(21, 2, 8, (8, 13, 2, 5))
     tiling = tile(wanted, bricks)
     stack = find_stack(tiling.placements, bricks, wanted.shape)
     there = np.ones(len(stack), bool)
@@ -502,7 +502,7 @@ def test_a_region_is_decided_again_and_the_rest_stays() -> None:
 
 def test_a_deck_that_no_bricks_carry_is_told_apart_from_one_that_is_proven_to_fall() -> None:
     """Without friction it falls; forces with friction balance it, elastic joints do not."""
-    tiling, ordering = plan_exact(shapes.bridge(1, 6, 3, 3, 2), load_kit("bricks"), seconds=600)
+    tiling, ordering = plan_exact(wall(12, 2, 5, (3, 9, 0, 3)), load_kit("bricks"), seconds=600)
     assert ordering is None
     assert tiling.status == "not found"
     assert "carries 4 cells in a row at level 3" in tiling.reason
@@ -511,14 +511,14 @@ def test_a_deck_that_no_bricks_carry_is_told_apart_from_one_that_is_proven_to_fa
 
 @pytest.mark.parametrize("name", ["blob-1", "dome-lean", "dome-thin", "table"])
 def test_what_no_tiling_carries_is_refused(name: str) -> None:
-    tiling, ordering = plan_exact(shapes.SHAPES[name](), LINTELS, seconds=300)
+    tiling, ordering = plan_exact(SHAPES[name], LINTELS, seconds=300)
     assert ordering is None
     assert tiling.status == ("not found" if name == "dome-lean" else "refused")
     assert "the finished building would fall" in tiling.reason
 
 
 def test_what_falls_with_tight_joints_too_is_said_where_they_are_asked_for() -> None:
-    tiling, ordering = plan_exact(shapes.SHAPES["blob-1"](), LINTELS, gap=0.0)
+    tiling, ordering = plan_exact(SHAPES["blob-1"], LINTELS, gap=0.0)
     assert ordering is None
     assert "it would fall with tight joints, too" in tiling.reason
 
@@ -541,7 +541,7 @@ def test_tight_joints_need_a_gap_of_zero() -> None:
 
 
 def test_the_widest_joint_is_one_that_holds_and_the_next_does_not() -> None:
-    wanted = shapes.wall(8, 1, 6, (2, 6, 0, 4))
+    wanted = wall(8, 1, 6, (2, 6, 0, 4))
     tiling, ordering = plan_exact(wanted, LINTELS)
     assert ordering is not None
     low, high = ordering.gap_range
@@ -557,7 +557,7 @@ def test_the_widest_joint_is_one_that_holds_and_the_next_does_not() -> None:
 
 
 def test_time_that_ran_out_is_called_so() -> None:
-    tiling = tile(shapes.SHAPES["wall"](), LINTELS)
+    tiling = tile(SHAPES["wall"], LINTELS)
     made = order(tiling, LINTELS, seconds=0.0)
     assert made.status == "time"
     assert "`seconds=`" in made.reason
@@ -592,7 +592,7 @@ def test_blocks_are_where_cells_are() -> None:
 
 
 def test_local_proofs_are_the_rule() -> None:
-    tiling, ordering = plan_exact(shapes.SHAPES["house-small"](), LINTELS)
+    tiling, ordering = plan_exact(SHAPES["house-small"], LINTELS)
     assert ordering is not None
     assert {step.proof for step in ordering.steps} == {LOCAL}
     assert len(ordering.steps) == len(tiling.placements)

@@ -14,7 +14,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from arm_record import arm_record
-from l2a_lab.shapes import wall
+from cell_shapes import wall
 from learn2assemble.cell.carry_out import Workcell, carry_out
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError

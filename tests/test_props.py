@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import learn2assemble as l2a
-from l2a_lab import shapes
+from cell_shapes import wall
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.contacts import Contacts, find_contacts
@@ -239,7 +239,7 @@ def bridge() -> tuple[Plan, Kit]:
     """A bridge whose deck takes a prop until it stands by itself."""
     kit = load_kit("bricks").at_pitch((0.04, 0.04, 0.04))
     cells = CellDesign(
-        "bridge", shapes.bridge(1, 6, 4, 2, 1, 4), kit.pitch, None, 0.0, None, "", None
+        "bridge", wall(14, 1, 6, (4, 10, 0, 2)), kit.pitch, None, 0.0, None, "", None
     )
     plan = plan_cells(cells, kit, seconds=600)
     assert plan.complete

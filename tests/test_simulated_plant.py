@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from l2a_lab.shapes import wall
+from cell_shapes import wall
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.belief import step_between
 from learn2assemble.cell.carry_out import Workcell, carry_out, prepare, setup_of

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from l2a_lab import shapes
+from cell_shapes import SHAPES, wall
 from learn2assemble.assembly.kit import Kind, Kit, load_kit, orientations
 from learn2assemble.errors import InputError, Learn2AssembleError
 from learn2assemble.linear_programs import Clock, LinearProgram, solve
@@ -149,7 +149,7 @@ def test_every_cell_is_filled_once_and_no_other(wanted: np.ndarray, name: str) -
 
 @pytest.mark.parametrize("name", ["wall-window", "house-small", "arch-8", "dome-lean", "blob-1"])
 def test_shapes_are_filled_the_same_every_time(name: str) -> None:
-    wanted = shapes.SHAPES[name]()
+    wanted = SHAPES[name]
     tiling = tile(wanted, LINTELS)
     check_cover(tiling, LINTELS)
     assert tile(wanted, LINTELS).placements == tiling.placements
@@ -251,7 +251,7 @@ def test_a_heap_is_enough_exactly_where_some_cover_fits_it(
 
 @pytest.mark.parametrize("name", ["wall", "house-flat", "bridge", "arch-4", "dome-lean"])
 def test_the_blocks_of_a_tiling_are_enough_for_another(name: str) -> None:
-    wanted = shapes.SHAPES[name]()
+    wanted = SHAPES[name]
     heap = Counter(block.kind for block in tile(wanted, LINTELS).placements)
     kinds = tuple(replace(kind, count=heap[kind.name]) for kind in LINTELS.kinds)
     tiling = tile(wanted, replace(LINTELS, kinds=kinds))
@@ -266,7 +266,7 @@ def test_joints_are_bridged_with_a_limited_heap_too(
 ) -> None:
     # A program that a busy machine would cut off must be solved all the same.
     monkeypatch.setattr(retiling, "_SECONDS", 60.0)
-    wanted = shapes.SHAPES[name]()
+    wanted = SHAPES[name]
     heap = Counter(block.kind for block in tile(wanted, LINTELS).placements)
     kinds = tuple(replace(kind, count=heap[kind.name]) for kind in LINTELS.kinds)
     kit = replace(LINTELS, kinds=kinds)
@@ -321,7 +321,7 @@ def test_no_cover_with_the_blocks_of_a_heap_continues_fewer_joints(
 
 @pytest.mark.parametrize("name", ["wall", "wall-window", "house-small", "tower-slim"])
 def test_joints_of_walls_and_houses_are_bridged(name: str) -> None:
-    bridged, total = seams_bridged(tile(shapes.SHAPES[name](), LINTELS), LINTELS)
+    bridged, total = seams_bridged(tile(SHAPES[name], LINTELS), LINTELS)
     assert bridged >= 0.9 * total
 
 
@@ -349,7 +349,7 @@ def test_hull_of_points() -> None:
 
 def test_lintels_span_what_they_can() -> None:
     """A gate of four cells: a bar with one cell on either post carries the rest."""
-    tiling = tile(shapes.wall(8, 1, 6, (2, 6, 0, 4)), LINTELS)
+    tiling = tile(wall(8, 1, 6, (2, 6, 0, 4)), LINTELS)
     assert "1x6" in {b.kind for b in tiling.placements if b.origin[2] == 4} or any(
         b.kind == "1x8" for b in tiling.placements if b.origin[2] == 4
     )
@@ -386,7 +386,7 @@ def test_what_does_not_fit_is_named() -> None:
 
 def test_time_that_ran_out_is_called_so() -> None:
     tile_module._known_layers.cache_clear()  # What is known takes no time.
-    tiling = tile(shapes.big_house(), LINTELS, seconds=0.0)
+    tiling = tile(SHAPES["house-big"], LINTELS, seconds=0.0)
     assert tiling.status == "time"
     assert "time ran out after 0 s" in tiling.reason
     assert "`seconds=`" in tiling.reason

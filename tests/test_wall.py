@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l2a_lab.shapes import wall
+from cell_shapes import wall
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.building import Building
 from learn2assemble.cell.carry_out import Workcell, carry_out, prepare, setup_of

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import learn2assemble as l2a
-from l2a_lab.shapes import wall
+from cell_shapes import wall
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.cell.arrange import Structure
