@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 import learn2assemble as l2a
 from brick_data import DUPLO, duplo, scene_of
-from l2a_lab.arm_distances import WatchedCell
 from learn2assemble.assembly.joints import Joint
 from learn2assemble.cell.brick_team import bricks_by_team
 from learn2assemble.cell.bricks import BrickStates, BrickStructure
@@ -22,13 +18,12 @@ from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import set_up_team
 from learn2assemble.cell.telling import assume, forget
-from learn2assemble.cell.together import Together, build_together
+from learn2assemble.cell.together import Together
 from learn2assemble.cell.traffic import Leg, Route, Traffic
 from learn2assemble.cell.workcell import StepOf, Workcell
 from learn2assemble.cell.world import WorkcellBlocks
 from learn2assemble.errors import InputError
-from learn2assemble.motion.plant import Motion, PlantError, Report, Stop
-from learn2assemble.motion.setup import Setup
+from learn2assemble.motion.plant import Motion
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
@@ -38,6 +33,7 @@ from learn2assemble.robot.sweeps import still, sweep
 from learn2assemble.simulation.cell import DynamicCell
 from learn2assemble.simulation.clutch import Clutch
 from learn2assemble.simulation.model import rigid_objects
+from learn2assemble.simulation.plant import DynamicPlant
 from learn2assemble.simulation.simulation import SimulatedState
 
 ARMS = SiteArm("one", "panda", "gripper"), SiteArm("two", "panda", "gripper")
@@ -49,13 +45,17 @@ STAIR = duplo(((4, 2), (0, 0, 0)), ((2, 2), (0, 0, 1)), ((2, 2), (1, 0, 2)), ((2
 Ordered = tuple[Plan, tuple[StepOf, ...], list[Member]]
 
 
-@pytest.fixture(scope="module")
-def stair() -> Ordered:
+def ordered_stair() -> Ordered:
     """The order of the stair for two arms."""
     members = set_up_team(STAIR, ARMS, Site())
     plan, order = bricks_by_team(STAIR, members, Workcell("panda", "gripper"))
     assert plan.complete
     return plan, order, members
+
+
+@pytest.fixture(scope="module")
+def stair() -> Ordered:
+    return ordered_stair()
 
 
 # ---------------------------------------------------------------- the order
@@ -211,48 +211,9 @@ def test_what_each_hand_has_pressed_home_is_its_own() -> None:
 # ---------------------------------------------------------------- builds
 
 
-def test_two_arms_build_bricks_and_a_part_beside(stair: Ordered) -> None:
-    """Both work at the same time, and what one presses home the other one knows to be so."""
-    plan, order, members = stair
-    crew = gather(plan, members, Workcell("panda", "gripper"), 0.0, order)
-    both = Together(crew, WatchedCell)
-    presses: list[tuple[float, float]] = []
-    enter, lets_go, begun = both.traffic.enter, both.traffic.lets_go, dict[int, float]()
-
-    def entered(who: int, motion: Motion) -> bool:
-        done = enter(who, motion)
-        if done and both.traffic.lanes[who].loading:
-            begun[who] = both.plant.time
-        return done
-
-    def let_go(who: int) -> None:
-        if both.traffic.lanes[who].loading:
-            presses.append((begun[who], both.plant.time))
-        lets_go(who)
-
-    both.traffic.enter, both.traffic.lets_go = entered, let_go
-    assert both.run() is None
-    assert both.complete
-    assert {turn.arm for turn in both.turns} == {0, 1}
-    assert [turn.done.what for turn in both.turns].count("attach") == 1
-    assert any(a.end > b.begin for a, b in pairwise(sorted(both.turns, key=lambda t: t.begin)))
-    # The first brick of the part is set down on the table.
-    assert len(presses) == 4
-    assert all(a[1] <= b[0] for a, b in pairwise(sorted(presses)))
-    joints = {(-1, 0), (0, 1), (1, 2), (2, 3)}
-    assert both.plant.home == joints
-    for building in both.buildings:
-        assert building.world.home == joints
-        assert not building.world.beside.any()
-    truth = both.plant.truth()
-    for piece in crew.found[0].job.pieces:
-        assert np.linalg.norm(truth[piece.id][:3] - piece.pose[:3]) < 1e-4
-    assert both.plant.least().distance >= 0.010
-
-
 def test_what_is_taken_to_stand_is_taken_to_be_home(stair: Ordered) -> None:
     plan, order, members = stair
-    both = Together(gather(plan, members, Workcell("panda", "gripper"), 0.0, order), WatchedCell)
+    both = Together(gather(plan, members, Workcell("panda", "gripper"), 0.0, order), DynamicPlant)
     building = both.buildings[0]
     world, before = building.world, (both.buildings[0].world.pose.copy(), set[tuple[int, int]]())
     known = assume(building, 0)
@@ -277,42 +238,3 @@ def test_what_two_arms_cannot_join_is_one_line(
         l2a.build(replace(STAIR, joint=joint), arm=("panda", "panda"), **options)  # pyright: ignore
     assert words in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_a_build_of_which_an_arm_was_stopped_while_it_pressed_goes_on(
-    stair: Ordered, tmp_path: Path
-) -> None:
-    """The other arm presses on nothing then; when the build goes on, what was home is home."""
-    plan, order, members = stair
-    workcell = Workcell("panda", "gripper", hands=True, log=tmp_path / "build.jsonl")
-    cells: list[WatchedCell] = []
-    pressed: list[float] = []
-
-    def opened(setup: Setup) -> WatchedCell:
-        cells.append(cell := WatchedCell(setup))
-        for who, plant in enumerate(cell.plants):
-            plant.execute = told(cell, who, plant.execute)  # pyright: ignore
-        return cell
-
-    def told(cell: WatchedCell, who: int, execute: Any) -> Any:
-        def executed(motion: Motion, commands: Any = (), guards: Any = ()) -> Report:
-            report = execute(motion, commands, guards)
-            if any(guard.bears for guard in guards) and cell.home and len(cells) == 1:
-                assert not pressed, f"arm {who} presses though the other one was stopped"
-                pressed.append(cell.time)
-                raise PlantError(Stop.PROTECTIVE, "somebody has pressed the button")
-            return report
-
-        return executed
-
-    stopped = build_together(plan, members, workcell, joint=0.0, order=order, opened=opened)
-    assert stopped.status == "incomplete"
-    assert "pressed the button" in (stopped.reason or "")
-    done = build_together(plan, members, workcell, joint=0.0, order=order, opened=opened)
-    assert done.complete, done.reason
-    # What is built beside, and brought by one arm, is no step of the other one.
-    worked = [arm.did for arm in done.arms if arm.did is not None and arm.did.attempts]
-    assert worked
-    assert all((one.attempts_per_step or 0.0) >= 1.0 for one in worked)
-    assert cells[1].home == {(-1, 0), (0, 1), (1, 2), (2, 3)}
-    assert min(cell.least().distance for cell in cells) >= 0.010

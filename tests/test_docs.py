@@ -50,7 +50,7 @@ TABBED = {"pymdownx.tabbed": {"alternate_style": True}}
 PARSED = {
     "--server": "asks a process beside it: test_benchmark",
     "ur://": "moves a robot: test_run, with a fake controller",
-    "keep runs": "writes into the repository: test_table_cli",
+    "keep runs": "writes into the repository: test_commands",
     "--quick": "measures for minutes",
     "--train": "trains for hours",
     "--agents": "measures for hours",

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from l2a_lab import creep, shapes
+from cell_shapes import wall
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.files import read_assembly
@@ -159,35 +159,6 @@ def test_mjcf_of_a_block_that_is_not_convex(tmp_path: Path) -> None:
     assert model.body("L").mass[0] == pytest.approx(3000)
 
 
-@pytest.mark.parametrize("gap", [0.0, 1e-4])
-def test_blocks_of_an_mjcf_stay_where_they_are(gap: float) -> None:
-    """A wall of ten layers in running bond, with and without joints."""
-    blocks = []
-    for layer in range(10):
-        ends = [0.0, *np.arange(0.1 if layer % 2 else 0.05, 0.3, 0.1), 0.3]
-        for k, (begin, end) in enumerate(pairwise(ends)):
-            low, high = (begin + gap / 2, 0.0, 0.05 * layer), (end - gap / 2, 0.05, 0.05 * layer)
-            blocks.append(box_block(f"{layer}-{k}", low, (*high[:2], high[2] + 0.05)))
-    assert creep.largest_move(Assembly(tuple(blocks)), 1.0) < 0.3 * creep.LIMIT
-
-
-@pytest.mark.parametrize("gap", creep.GAPS)
-@pytest.mark.parametrize("name", ["bridge", "long bridge on its props"])
-def test_structures_and_their_props_stay_where_they_are(name: str, gap: float) -> None:
-    """At any time, the first instants included; ``l2a measure-designs --only creep/`` for 20 s."""
-    made = creep.structure(name, gap)
-    props = sum(block.id.startswith("prop") for block in made.blocks)
-    assert bool(props) == creep.CASES[name].props
-    assert creep.largest_move(made, 3.0) < 0.3 * creep.LIMIT
-
-
-def test_what_stands_after_a_step_is_no_more_than_that(bridge: Assembly) -> None:
-    ids = [[b.id for b in creep.standing_after(bridge, k).finished.blocks] for k in range(1, 6)]
-    assert ids[0] == ["left"]
-    assert set(ids[3]) == {"left", "right", "prop", "lintel"}
-    assert set(ids[4]) == {"left", "right", "lintel"}
-
-
 class _Tags(HTMLParser):
     """Counts elements, and refuses those that are closed in another order than opened."""
 
@@ -289,7 +260,7 @@ def test_every_export_of_a_plan_is_read_back(kit: str, format: str, tmp_path: Pa
     bricks only (``test_bricks``)."""
     wanted = np.ones((6, 2, 2), bool)
     if kit == "bricks-lintels":
-        wanted = shapes.bridge(1, 5, 2, 2, 1, 1)
+        wanted = wall(9, 1, 3, (2, 7, 0, 2))
     tiling, ordering = plan_exact(wanted, load_kit(kit))
     assert ordering is not None
     assert ordering.status == "complete"

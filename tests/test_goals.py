@@ -13,7 +13,6 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import learn2assemble as l2a
-from l2a_lab import goals as figures
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.cli import main
 from learn2assemble.design.goals import Goals, parse_goals, read_goals
@@ -263,21 +262,6 @@ def test_impossible_tasks_are_refused(name: str) -> None:
     plan = plan_goals(fixed_goals(name), seconds=20)
     assert plan.status == "refused"
     assert plan.reason
-
-
-def test_figures_count_what_was_measured() -> None:
-    names = figures.names()
-    assert len(names) == len(set(names)) == 2 * 55 + 50
-    entries: dict[str, Any] = {name: {"status": "complete", "blocks": 6} for name in names}
-    entries |= {n: {"status": "refused", "blocks": 0} for n in names if "/impossible/" in n}
-    entries |= {n: {"status": "optimal", "blocks": 5} for n in names if n.startswith("optimum/")}
-    entries["search/planar/arch/20000"] = {"status": "incomplete", "blocks": 0}
-    rows = {what: got for what, _, got in figures.summary(entries)}
-    assert rows["search: planar tasks solved"] == "29 of 30; not: planar/arch/20000"
-    assert rows["search: spatial tasks solved"].startswith("20 of 20")
-    assert rows["program: impossible tasks"].startswith("0 complete, 5 of 5 refused")
-    words = rows["search: planar blocks by the optimum, where it is known"]
-    assert words == "1.200 on average, 1.20 at most, 29 of 29 above"
 
 
 IMPOSSIBLE: dict[str, dict[str, Any]] = {

@@ -6,14 +6,12 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-import mink
 import mujoco
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from l2a_lab.bullet.inverse import solve_as_published
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.geometry.rotations import rotation_vector
 from learn2assemble.robot.arm import ARMS, Arm, arm_model, get_arm, load_arm
@@ -142,7 +140,8 @@ def solve_many(arm: Arm, position: np.ndarray, rotation: np.ndarray, *args: Any,
 
 
 def test_poses_over_the_table(arm: Arm) -> None:
-    """At least the 97.8 % that other solvers reach; what is missed cannot be reached at all."""
+    """At least the 97.8 % that other solvers reach; what is missed cannot be reached at all, which
+    a test of the laboratory says (``test_published.py``)."""
     position, rotation = grid(arm)
     found = solve_many(arm, position, rotation)
     assert found.ok.mean() >= 0.978
@@ -153,8 +152,6 @@ def test_poses_over_the_table(arm: Arm) -> None:
     for k in np.flatnonzero(found.ok)[::20]:
         check(arm, found.joints[k], position[k], rotation[k])
     assert np.median(found.iterations) <= 6
-    missed = zip(position[~found.ok], rotation[~found.ok], strict=True)
-    assert not any(solve_as_published(arm, *pose, arm.home).ok for pose in missed)
 
 
 @settings(max_examples=150, deadline=None)
@@ -327,6 +324,7 @@ def other(arm: Arm, position: np.ndarray, rotation: np.ndarray, steps: int = 400
     full = np.zeros(model.nq)
     addresses = [model.joint(name).qposadr[0] for name in arm.joints]
     full[addresses] = arm.home
+    mink = pytest.importorskip("mink")
     configuration = mink.Configuration(model, full)
     task = mink.FrameTask(
         arm.tool, "site", position_cost=1.0, orientation_cost=1.0, lm_damping=1e-3
@@ -356,7 +354,7 @@ def test_mink_agrees(arm: Arm) -> None:
     rotation = np.concatenate([rotation, [downward(0.0)] * 2])
     found = solve_many(arm, position, rotation)
     model = arm_model(arm)
-    configuration = mink.Configuration(model)
+    configuration = pytest.importorskip("mink").Configuration(model)
     addresses = [model.joint(name).qposadr[0] for name in arm.joints]
     agree = []
     for k in range(len(position)):

@@ -14,13 +14,10 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from l2a_lab.bounds import has_bound
-from l2a_lab.restore_faults import LegacyModel
 from learn2assemble.constants import EDGE, HALF, MASS
 from learn2assemble.errors import InputError, Learn2AssembleError, UnknownNameError
 from learn2assemble.tasks.learning.config import CONFIGS, fit_to
 from learn2assemble.tasks.learning.trainer import Trainer
-from learn2assemble.tasks.networks.agent import make_network
 from learn2assemble.tasks.physics.equilibrium import is_stable
 from learn2assemble.tasks.physics.protocol import PlacementVerdict
 from learn2assemble.tasks.physics.rigid import RigidPhysics, compile_model, object_parts
@@ -48,7 +45,6 @@ from learn2assemble.tasks.world.rules import (
     waiting_level,
 )
 from learn2assemble.tasks.world.state import State, empty_state
-from learn2assemble.tasks.world_model import WorldModel
 
 SEEDS = st.integers(0, 2**32 - 1)
 ROBOTS = {name: task.replace(arm="none") for name, task in PRESETS.items() if task.has_arm}
@@ -209,16 +205,6 @@ def test_the_tolerant_camera_sees_blocks_that_stand_beside_their_places() -> Non
             recover_all(state, 0, sim.frames, sim.depths)
             seen[name] = (image & ~(state.covered[0, 0] & ~state.occluded[0, 0])).any()
         assert seen == {"wide": wide, "narrow": narrow}, shift
-
-
-def test_the_legacy_search_keeps_a_cover_that_was_never_normalised() -> None:
-    sim = Simulator(TWO)
-    state = sim.new(20, np.random.default_rng(2))
-    network = make_network(fit_to(CONFIGS["published"], TWO).network)
-    legacy = LegacyModel(WorldModel(sim, network), np.random.default_rng(0))
-    actions = np.tile([0, 0, 0], (20, 1))
-    after = legacy.step(state, actions).states.state
-    assert (after.initial_pixels == 0).all()
 
 
 # ---------------------------------------------------------------- random places
@@ -524,8 +510,7 @@ def test_networks_learn_and_search_there(task: Task, name: str) -> None:
 
 @each_robot
 def test_what_needs_touching_blocks_says_so(task: Task) -> None:
-    """Bounds and symmetries are those of touching blocks."""
-    assert not has_bound(task)
+    """Symmetries are those of touching blocks."""
     fitted = fit_to(CONFIGS["published"], task)
     assert not fitted.augment
     assert fitted.network.action_mode == task.action_mode

@@ -19,7 +19,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from l2a_lab.recordings import waiting_objects
 from learn2assemble.constants import EDGE
 from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.task import PRESETS, Task, get_task
@@ -361,12 +360,21 @@ def test_recorded_problems_have_our_masks_and_initial_cover(reference: Path, nam
 # ---------------------------------------------------------------- waiting blocks
 
 
+def waiting_objects(unplaced: list[list[float]]) -> list[int]:
+    """Number of the object that each waiting block belongs to: a row ends with the numbers of the
+    other cells of its object."""
+    ids: list[int] = []
+    while len(ids) < len(unplaced):
+        ids += [len(ids)] * max(len(unplaced[len(ids)]) - 3, 1)
+    assert len(ids) == len(unplaced)
+    return ids
+
+
 def _check_layout(line: dict[str, Any], task: Task) -> None:
     theirs = np.array([row[:3] for row in line["unplaced"]])
     assert len(theirs) == line["n_unplaced"]
     places = waiting_places(task.layout, len(theirs))
     spacing = np.array([task.pitch, task.pitch, EDGE])
-    # Rows of objects end with the numbers of their other cells.
     ids = np.array(waiting_objects(line["unplaced"]))
     state = empty_state(1, 1, 3, len(theirs) + 1)
     state.object_id[0] = np.append(-1, ids)

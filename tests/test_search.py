@@ -29,7 +29,7 @@ from learn2assemble.tasks.search.mcts import (
     search,
 )
 from learn2assemble.tasks.search.tree import ActionValues, TreeNode
-from search_data import (
+from learning_data import (
     THREE,
     Edge,
     TreeModel,

@@ -6,6 +6,7 @@ import contextlib
 import io
 import json
 import re
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -15,33 +16,41 @@ import pytest
 import shapely
 
 import learn2assemble as l2a
-from l2a_lab.arm_distances import MOMENTS, WatchedCell
-from l2a_lab.shapes import SHAPES, wall
-from l2a_lab.two_arms import ARMS as ARM_NAMES
-from l2a_lab.two_arms import EIGHT, SETS, names, summary
+from cell_shapes import SHAPES, wall
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.kit import DEFAULT_KIT, load_kit
+from learn2assemble.cell.carry_out import carry_out, prepare, setup_of
 from learn2assemble.cell.pair import BESIDE, HAND, Pair, gather, lower_beside
 from learn2assemble.cell.site import Obstacle, Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import set_up_team
 from learn2assemble.cell.together import Together
-from learn2assemble.cell.traffic import APART, ArmInTraffic, Leg, Route, Traffic
+from learn2assemble.cell.traffic import APART, PLANNED, ArmInTraffic, Leg, Route, Traffic
 from learn2assemble.cell.workcell import Workcell
-from learn2assemble.cell.world import MISSING
 from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.motion.attempts import merged
-from learn2assemble.motion.plant import Guard, Motion, PlantError, Report, Stop, standing
-from learn2assemble.motion.record import find_fault
-from learn2assemble.motion.setup import Noise
+from learn2assemble.motion.plant import (
+    Guard,
+    Motion,
+    Report,
+    Stop,
+    ToolCommand,
+    WrappedPlant,
+    standing,
+)
+from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.capsules import capsules_of, in_hand, solid_capsules
-from learn2assemble.robot.sweeps import clear, still, sweep
+from learn2assemble.robot.moves import Outcome
+from learn2assemble.robot.sweeps import Sweep, clear, still, sweep
 from learn2assemble.simulation.model import Failure
+from learn2assemble.simulation.plant import DynamicPlant
 from learn2assemble.viewer.playback import Playback
 
 LEFT = get_arm("ur5e", "suction", (-0.42, 0.0, 0.0, 0.0))
@@ -232,7 +241,7 @@ def test_of_two_that_wait_for_each_other_the_one_that_comes_after_gives_way() ->
 
 def test_nothing_is_fetched_behind_a_block_that_is_put_back(crew: Pair) -> None:
     """Each arm would put back what it fetched behind the other one's block, again and again."""
-    both = Together(crew, WatchedCell)
+    both = Together(crew, DynamicPlant)
     lane = both.traffic.lanes[1]
     lane.route = route(RIGHT, [RIGHT.home, RIGHT.home])
     both.moves[1] = crew.found[1].order.steps[0].block
@@ -250,7 +259,7 @@ def test_nothing_is_fetched_behind_a_block_that_is_put_back(crew: Pair) -> None:
 def test_each_arm_has_its_magazines_on_its_own_side(name: str) -> None:
     """And none inside what is built."""
     kit = load_kit(DEFAULT_KIT).at_pitch((0.032, 0.032, 0.032))
-    plan = plan_cells(CellDesign(name, SHAPES[name](), kit.pitch, None, 0.0, None, "", None), kit)
+    plan = plan_cells(CellDesign(name, SHAPES[name], kit.pitch, None, 0.0, None, "", None), kit)
     assert plan.assembly is not None
     members = set_up_team(plan.assembly, SITE_ARMS, Site())
     hull = shapely.union_all([p.face() for p in members[0].job.pieces]).convex_hull
@@ -359,143 +368,6 @@ def test_what_comes_before_a_block_is_lower_and_near(crew: Pair) -> None:
     assert any(
         n not in crew.found[0].structure.below[k] for k, lower in found.items() for n in lower
     )
-
-
-def counted(traffic: Traffic) -> list[bool]:
-    """Of all that is announced from now on, whether it is behind what the other arm does."""
-    found, announce = list[bool](), traffic.announce
-
-    def told(who: int, route: Route, behind: bool = False) -> bool:
-        fits = announce(who, route, behind)
-        if fits:
-            found.append(behind)
-        return fits
-
-    traffic.announce = told
-    return found
-
-
-def test_two_arms_build_together(crew: Pair) -> None:
-    both = Together(crew, WatchedCell)
-    told: list[str] = []
-    announced = counted(both.traffic)
-    assert both.run(told.append) is None
-    assert both.complete
-    assert {turn.arm for turn in both.turns} == {0, 1}
-    first, second = ([t for t in both.turns if t.arm == who] for who in range(2))
-    # Some are fetched while the other arm places what comes before them.
-    assert len(announced) == len(both.turns)
-    assert any(announced)
-    # Both at the same time, and each one thing after the other.
-    assert any(a.begin < b.end and b.begin < a.end for a in first for b in second)
-    for mine in (first, second):
-        assert all(a.end <= b.begin + 1e-9 for a, b in pairwise(mine))
-    # No block came to where it would have been in the way of a lower one.
-    placed = [turn.done.block for turn in sorted(both.turns, key=lambda turn: turn.end)]
-    assert sorted(placed) == list(range(len(crew.found[0].job.pieces)))
-    assert all(both.under)
-    for step, lower in (item for under in both.under for item in under.items()):
-        assert all(placed.index(one.block) < placed.index(step.block) for one in lower)
-    job = crew.found[0].job
-    truth = both.plant.truth()
-    for piece in job.pieces:
-        assert np.linalg.norm(truth[piece.id][:3] - piece.pose[:3]) < 1e-3
-    least = both.plant.least()
-    assert least.moments == MOMENTS
-    assert least.distance >= 0.010
-    for record in both.records:
-        assert find_fault(record) is None
-        assert record.spans()[-1][1] <= both.seconds + 0.1
-
-
-def test_two_arms_build_where_readings_are_not_exact() -> None:
-    """It takes time to see a block that is presented, and both want the same one."""
-    noise = Noise(5e-4, np.radians(0.2), 5e-4, missing=0.02)
-    found = crew_for(design(10, 2, 2), Workcell("ur5e", noise=noise, seed=1))
-    both = Together(found, WatchedCell)
-    announced = counted(both.traffic)
-    assert both.run() is None
-    assert {turn.arm for turn in both.turns} == {0, 1}
-    # Where the other arm's block will stand is not known before it does.
-    assert not any(announced)
-    assert both.plant.least().distance >= 0.010
-    truth = both.plant.truth()
-    for piece in found.found[0].job.pieces:
-        assert np.linalg.norm(truth[piece.id][:3] - piece.pose[:3]) < 2e-3
-
-
-def test_an_arm_that_is_stopped_leaves_the_other_one_safe(crew: Pair) -> None:
-    """The first arm stops on its way across: it stands there, with what it holds, and the other one
-    keeps its distance and does not place that block."""
-    both = Together(crew, WatchedCell)
-    mine, execute = both.plant.plants[0], both.plant.plants[0].execute
-
-    def stopped(motion: Motion, *told: object) -> Report:
-        if motion.stage == "cross" and len(both.turns) > 1:
-            raise PlantError(Stop.PROTECTIVE, "somebody has pressed the button")
-        return execute(motion, *told)  # pyright: ignore[reportArgumentType]
-
-    mine.execute = stopped  # pyright: ignore[reportAttributeAccessIssue]
-    why = both.run()
-    assert why is not None
-    assert "pressed the button" in why
-    assert both.reasons[0] == why
-    held = mine.held()
-    assert held is not None
-    # The other one knows that it is none of the plan any more, and does not look for it.
-    world, like = both.buildings[1].world, both.buildings[1].recording.like
-    spare = world.names.index(held)
-    assert both.lost == {like[spare - len(crew.found[0].job.pieces)]}
-    assert world.state[spare] == MISSING
-    # The other one ends with a reason of its own, at rest.
-    other = both.plant.plants[1]
-    assert both.reasons[1]
-    assert np.abs(other.sense().velocity).max() < 1e-2
-    assert both.plant.least().distance >= 0.010
-    # It hangs in the air: where it waits its middle is half of its height above the table.
-    piece = crew.found[0].job.pieces[min(both.lost)]
-    assert both.plant.truth()[held][2] > piece.half.min() + 0.02
-
-
-def test_two_arms_are_measured_beside_the_faster_one() -> None:
-    def one(seconds: float, least: float = 0.0) -> dict[str, Any]:
-        told = {"status": "complete", "reason": None, "blocks": 5, "robot_s": seconds}
-        return told | {"least_distance": least, "planning_s": 7.0}
-
-    stuck = {"status": "refused", "reason": "why"}
-    entries = {
-        **{"others/a/ur5e": one(30.0), "others/a/panda": one(20.0)},
-        **{"others/a/both": one(15.0, 0.0234)},
-        # Of what one arm alone cannot build, the other one counts.
-        **{"eight/b/ur5e": one(40.0), "eight/b/panda": stuck, "eight/b/both": one(10.0, 0.1)},
-        "eight/c/ur5e": one(10.0),
-        **{f"eight/d/{who}": stuck for who in ("ur5e", "panda")},
-        "eight/d/both": one(5.0),
-        "eight/e/both": stuck,
-        "holds/arch of 9/0": one(80.0, 0.0167) | {"holds": 3, "posts": 1, "error_worst": 0.00042},
-        "holds/arch of 9/1": one(70.0, 0.02) | {"holds": 2, "posts": 0, "error_worst": 0.0014},
-        "holds/arch of 9/2": one(75.0, 0.02) | {"holds": 2, "posts": 0, "error_worst": 0.0002},
-        "holds/arch of 9/3": {"status": "incomplete"},
-        "stopped/a/0": {"status": "complete", "other_safe": True},
-        "stopped/a/1": {"status": "incomplete", "other_safe": True},
-    }
-    rows = {what: got for what, _, got in summary(entries)}
-    assert rows == {
-        "a": "5 blocks: 15.0 s over 20.0 s, 0.75, 23.4 mm apart at least, planned in 7.0 s",
-        "b": "5 blocks: 10.0 s over 40.0 s, 0.25, 100.0 mm apart at least, planned in 7.0 s",
-        "c": "not measured (None)",
-        "d": "by two only",
-        "e": "refused (why)",
-        "arch of 9, one holds while the other one builds": "Of 4 builds of the arch of 9, 3 were "
-        "complete, with 3 holds and 1 post set by hand at most, in 80.0 s at most. The block that "
-        "was farthest from its place was 1.40 mm off at most, 0.42 mm in the middle of them; 2 "
-        "kept 1 mm; the arms were 17 mm apart at least.",
-        "two arms over one, others": "0.75 mean of 1",
-        "two arms over one, eight": "0.25 mean of 1",
-        "one arm stopped: other one safe, resumed and complete": "2 of 2, 1 of 2",
-    }
-    assert len(EIGHT) == 8
-    assert {n.split("/")[2] for n in names() if n.split("/")[0] in SETS} == {*ARM_NAMES, "both"}
 
 
 # ---------------------------------------------------------------- from the outside
@@ -612,3 +484,83 @@ def test_what_two_arms_cannot_do_is_one_line(
         l2a.build(wall(4, 2, 1), arm=arms, **options)
     assert words in str(error.value)
     assert "\n" not in str(error.value)
+
+
+# ---------------------------------------------------------------- one arm beside a stopped one
+
+
+def random_joints(rng: np.random.Generator, arm: Arm) -> np.ndarray:
+    return np.clip(arm.home + rng.normal(0, 0.5, len(arm.home)), *arm.limits())
+
+
+def swept(arm: Arm, *joints: np.ndarray) -> Sweep:
+    return sweep(arm, capsules_of(arm), np.array(joints))
+
+
+def test_what_passes_somewhere_on_the_leg_of_a_stopped_arm_is_not_set_out_on() -> None:
+    rng, refused = np.random.default_rng(0), 0
+    held = in_hand(LEFT, solid_capsules(BRICK, np.array([0.0, 0.0, 0.02]), np.eye(3)))
+    for _ in range(300):
+        far, mine = random_joints(rng, RIGHT), random_joints(rng, LEFT)
+        other, ways = swept(RIGHT, RIGHT.home, far), [LEFT.home, mine, LEFT.home]
+        legs = [Leg("cross", swept(LEFT, *way)) for way in pairwise(ways)]
+        past = all(clear(leg.swept, other.end, PLANNED) for leg in legs)
+        if not past or all(clear(leg.swept, other, PLANNED) for leg in legs):
+            continue
+        traffic, route = Traffic((LEFT, RIGHT)), Route("a", held, tuple(legs), AWAY)
+        told = Motion("home", np.array([0.0, 1]), np.array([RIGHT.home, far]), np.zeros((2, 7)))
+        if not traffic.enter(1, told):
+            continue
+        # It waits for the leg to be over before it moves, as long as that will be.
+        assert traffic.fits(0, route)
+        traffic.stopped(1)
+        assert not traffic.fits(0, route)
+        refused += 1
+    assert refused >= 3
+    assert APART <= PLANNED
+
+
+class Refuses(WrappedPlant):
+    """Lets an arm lift nothing."""
+
+    told: tuple[tuple[Motion, tuple[ToolCommand, ...]], ...] = ()
+
+    def execute(
+        self,
+        motion: Motion,
+        commands: Sequence[ToolCommand] = (),
+        guards: Sequence[Guard] = (),
+    ) -> Report:
+        if motion.stage == "lift" and np.ptp(motion.joints, axis=0).any():
+            raise Failure(Outcome.UNREACHABLE, "lift", "the other arm is in the way")
+        self.told = (*self.told, (motion, tuple(commands)))
+        return self.plant.execute(motion, commands, guards)
+
+
+@pytest.mark.parametrize("tool", ["suction", "gripper"])
+def test_what_was_taken_and_not_moved_is_let_go_where_it_lies(tool: str) -> None:
+    block = box_block("block", (-0.03, -0.02, 0.0), (0.03, 0.02, 0.04), density=600.0)
+    plan = plan_assembly(Assembly((block,), friction=0.6))
+    workcell = Workcell("panda", tool)
+    found = prepare(plan, workcell, 0.0)
+    plant = Refuses(DynamicPlant(setup_of(found.job, workcell)))
+    done = carry_out(plan, workcell, joint=0.0, found=found, plant=plant)
+    assert done.arm is not None
+    details = [one.detail for one in done.arm.failures]
+    assert details
+    assert all(one.endswith("the other arm is in the way; put back") for one in details)
+    moved = [bool(np.ptp(motion.joints, axis=0).any()) for motion, _ in plant.told]
+    takes = [n for n, (_, some) in enumerate(plant.told) if any(_holds(one) for one in some)]
+    opens = [n for n, (_, some) in enumerate(plant.told) if any(_opens(one) for one in some)]
+    assert len(takes) == len(details)
+    for n in takes:
+        until = next(k for k in opens if k > n)
+        assert not any(moved[n:until])
+
+
+def _holds(command: ToolCommand) -> bool:
+    return bool(command.vacuum) or bool(command.force)
+
+
+def _opens(command: ToolCommand) -> bool:
+    return command.vacuum is False or (command.width is not None and not command.force)

@@ -6,6 +6,7 @@ import csv
 import json
 import math
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,8 @@ import pytest
 from hypothesis import given, settings
 
 import learn2assemble as l2a
-from l2a_lab import builds, creep, hidden, sensing, shapes, speed, two_arms_bricks
+from cell_shapes import SHAPES
+from l2a_lab import builds, creep, goals, hidden, sensing, shapes, speed, two_arms_bricks
 from l2a_lab import designs as design_figures
 from l2a_lab import structures as figures
 from l2a_lab.__main__ import command_line
@@ -538,3 +540,73 @@ def test_the_table_says_what_no_arm_builds_alone() -> None:
         "| dome | 50 | 50.0 | no arm alone |  | 21.3 |",
         "| mean of 1 of the eight | | | | 0.62 | |",
     ]
+
+
+def test_figures_of_goals_count_what_was_measured() -> None:
+    names = goals.names()
+    assert len(names) == len(set(names)) == 2 * 55 + 50
+    entries: dict[str, Any] = {name: {"status": "complete", "blocks": 6} for name in names}
+    entries |= {n: {"status": "refused", "blocks": 0} for n in names if "/impossible/" in n}
+    entries |= {n: {"status": "optimal", "blocks": 5} for n in names if n.startswith("optimum/")}
+    entries["search/planar/arch/20000"] = {"status": "incomplete", "blocks": 0}
+    rows = {what: got for what, _, got in goals.summary(entries)}
+    assert rows["search: planar tasks solved"] == "29 of 30; not: planar/arch/20000"
+    assert rows["search: spatial tasks solved"].startswith("20 of 20")
+    assert rows["program: impossible tasks"].startswith("0 complete, 5 of 5 refused")
+    words = rows["search: planar blocks by the optimum, where it is known"]
+    assert words == "1.200 on average, 1.20 at most, 29 of 29 above"
+
+
+# ---------------------------------------------------------------- blocks of an MJCF
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-4])
+def test_blocks_of_an_mjcf_stay_where_they_are(gap: float) -> None:
+    """A wall of ten layers in running bond, with and without joints."""
+    blocks = []
+    for layer in range(10):
+        ends = [0.0, *np.arange(0.1 if layer % 2 else 0.05, 0.3, 0.1), 0.3]
+        for k, (begin, end) in enumerate(pairwise(ends)):
+            low, high = (begin + gap / 2, 0.0, 0.05 * layer), (end - gap / 2, 0.05, 0.05 * layer)
+            blocks.append(box_block(f"{layer}-{k}", low, (*high[:2], high[2] + 0.05)))
+    assert creep.largest_move(Assembly(tuple(blocks)), 1.0) < 0.3 * creep.LIMIT
+
+
+@pytest.mark.parametrize("gap", creep.GAPS)
+@pytest.mark.parametrize("name", ["bridge", "long bridge on its props"])
+def test_structures_and_their_props_stay_where_they_are(name: str, gap: float) -> None:
+    """At any time, the first instants included; ``l2a-lab measure-designs --only creep/``
+    looks for 20 s."""
+    made = creep.structure(name, gap)
+    props = sum(block.id.startswith("prop") for block in made.blocks)
+    assert bool(props) == creep.CASES[name].props
+    assert creep.largest_move(made, 3.0) < 0.3 * creep.LIMIT
+
+
+def test_what_stands_after_a_step_is_no_more_than_that() -> None:
+    """A prop under a lintel is taken away again."""
+    bridge = Assembly(
+        (
+            box_block("left", (0, 0, 0), (0.05, 0.05, 0.05)),
+            box_block("right", (0.1, 0, 0), (0.15, 0.05, 0.05)),
+            box_block("prop", (0.05, 0, 0), (0.1, 0.05, 0.05), prop=True),
+            box_block("lintel", (0, 0, 0.05), (0.15, 0.05, 0.1)),
+        ),
+        (
+            *(AssemblyStep(place=id_) for id_ in ("left", "right", "prop", "lintel")),
+            AssemblyStep(remove="prop"),
+        ),
+    )
+    ids = [[b.id for b in creep.standing_after(bridge, k).finished.blocks] for k in range(1, 6)]
+    assert ids[0] == ["left"]
+    assert set(ids[3]) == {"left", "right", "prop", "lintel"}
+    assert set(ids[4]) == {"left", "right", "lintel"}
+
+
+def test_shapes_of_the_tests_are_those_that_are_measured() -> None:
+    """Tests of the product, which know no laboratory, read them from a file."""
+    made = {name: make() for name, make in shapes.SHAPES.items()}
+    made["house-big"] = shapes.big_house()
+    assert SHAPES.keys() == made.keys()
+    for name, cells in made.items():
+        assert np.array_equal(SHAPES[name], cells), name

@@ -1,4 +1,7 @@
-"""Agreement with the recorded transitions of the published simulator, and refusal of bad logs."""
+"""Agreement with the recorded transitions of the published simulator, and refusal of bad logs.
+
+The faults of its search, which restored worlds otherwise than they were.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +18,23 @@ import pytest
 
 from l2a_lab.recordings import VARIANTS, drifted, fit_tilt, read_lines
 from l2a_lab.replay import ReplayReport, replay_file
+from l2a_lab.restore_faults import LegacyModel
 from learn2assemble.constants import EDGE
 from learn2assemble.errors import InputError
+from learn2assemble.tasks.graph.features import node_offset
+from learn2assemble.tasks.learning.config import CONFIGS, fit_to
+from learn2assemble.tasks.networks.agent import make_network
 from learn2assemble.tasks.physics.rigid import RigidPhysics
+from learn2assemble.tasks.search.config import SearchConfig
+from learn2assemble.tasks.search.mcts import search
+from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.task import get_task
 from learn2assemble.tasks.world.blocks import DIRECTIONS
+from learn2assemble.tasks.world.state import State
+from learn2assemble.tasks.world_model import WorldModel
+from learning_data import look_ahead
 from make_recordings import REFERENCE, SAMPLE, sample_files, sample_lines, unpack
+from test_world_model import TINY, walls
 
 MIXED = ["2wo_g3_n30", "2wo_g4_n40", "2wo_g5_n50", "4wo_g3_n30", "4wo_g5_n50", "1mimic_g3_n27"]
 SUPPORTED = ["2wo_g5_n50_supported", "4wo_g5_n50_supported"]
@@ -556,3 +570,141 @@ def test_pushed_structures_are_told_by_their_places() -> None:
     assert not drifted(rows, 0.06)
     assert drifted([*rows, [0.0609, 0.06, 0.075]], 0.06)
     assert drifted(rows, 0.055)
+
+
+# ---------------------------------------------------------------- restore faults
+
+
+def valid_with_most(model: WorldModel, state: State, worth: str | None) -> np.ndarray:
+    """Of the valid placements the one with the largest field of the outcomes, or the last."""
+    placements, outcomes = look_ahead(model.simulator, state)
+    number = np.broadcast_to(np.arange(outcomes.valid.shape[1]), outcomes.valid.shape)
+    value = getattr(outcomes, worth) if worth else number
+    chosen = np.where(outcomes.valid, value, -9.0).argmax(1)
+    action = placements.action[np.arange(len(chosen)), chosen]
+    return action - node_offset(model.simulator.observe(state))
+
+
+def test_legacy_takes_the_initial_cover_from_the_restored_state() -> None:
+    """Fault (a): scaled rewards grow by (A - c0) / (A - c_root), and it is harder
+    to fill the target; only the first step of a walk restores."""
+    task = TINY.replace(num_sides=2, num_nodes=20, grid=3, reward="scaled", max_initial_cover=1.0)
+    model, state = walls(task)
+    legacy = LegacyModel(model, np.random.default_rng(0))
+    before = state.copy()
+    actions = valid_with_most(model, state, None)
+    exact, faulty = model.step(state, actions), legacy.step(state, actions)
+    for mine, theirs in zip(state, before, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    copies = faulty.states.state
+    np.testing.assert_array_equal(copies.initial_pixels, state.plane_pixels)
+    np.testing.assert_allclose(copies.position, exact.states.position, atol=1e-6)
+    # Fault (d): single precision moves edges that lie on a pixel's border.
+    same = copies.plane_pixels == exact.states.plane_pixels
+    assert same.mean() > 0.9
+    assert abs(copies.plane_pixels - exact.states.plane_pixels).max() <= 2
+    open_now = state.mask_pixels - state.plane_pixels
+    factor = (state.mask_pixels - state.initial_pixels) / open_now
+    going = same & ~exact.terminal & ~faulty.terminal
+    np.testing.assert_allclose(faulty.reward[going], (exact.reward * factor)[going])
+    assert (exact.reward[going] > 0).any()
+    assert (factor > 1.1).any()
+    assert not (faulty.terminal & ~exact.terminal).any()
+    again = legacy.step(faulty.states, np.zeros((len(actions), 3), np.int64))
+    np.testing.assert_array_equal(again.states.state.initial_pixels, state.plane_pixels)
+
+
+def test_legacy_ends_later() -> None:
+    """Fault (a): the block that fills the target is not enough in the copy.
+
+    F counts from what is covered at the root, so it falls wherever that is more than at the start.
+    """
+    task = TINY.replace(num_sides=1, num_nodes=14, success_threshold=0.6, max_initial_cover=1.0)
+    model, state = walls(task, 300, 1)
+    state = state.take(np.flatnonzero(state.plane_pixels > state.initial_pixels))
+    actions = valid_with_most(model, state, "gain")
+    exact = model.step(state, actions)
+    faulty = LegacyModel(model, np.random.default_rng(0)).step(state, actions)
+    assert (exact.terminal & ~faulty.terminal).any()
+    assert not (~exact.terminal & faulty.terminal).any()
+
+
+def test_legacy_simulates_another_problem_where_much_is_covered() -> None:
+    """Fault (b): another random problem each time; the rest is as it was."""
+    task = TINY.replace(num_sides=2, num_nodes=20, grid=3)
+    model, state = walls(task)
+    share = state.plane_pixels / state.mask_pixels
+    model.simulator.task = task.replace(max_initial_cover=float(np.median(share)))
+    covered = share > np.median(share)
+    legacy = LegacyModel(model, np.random.default_rng(0))
+    # The last of all actions: its node numbers must be clipped to the other problem.
+    actions = np.stack([state.num_unplaced - 1, state.num_placed - 1, 0 * state.num_placed], -1)
+    exact = model.step(state, actions).states
+    runs = [legacy.step(state, actions).states for _ in range(2)]
+    for copies in runs:
+        assert not copies.real.any()
+        differs = (copies.state.mask != exact.mask).any((1, 2, 3))
+        np.testing.assert_array_equal(differs, covered)
+        assert (copies.state.num_placed[covered] == 2).all()
+        np.testing.assert_allclose(
+            copies.state.position[~covered], exact.position[~covered], atol=1e-6
+        )
+    assert (runs[0].state.mask[covered] != runs[1].state.mask[covered]).any()
+
+
+def test_legacy_takes_objects_apart() -> None:
+    """Fault (c): an S that stands falls in the copy, and only chains stay whole."""
+    task = TINY.replace(objects="set-26", num_nodes=20, stability="object")
+    model, _ = walls(task, 1)
+    state = model.simulator.new(2, np.random.default_rng(0))
+    # A cube on the ground; beside it an S with its free end in the air, in the second row a tower.
+    cube, s_shape = (0, 0, 0), ((1, 0, 0), (1, 0, 1), (2, 0, 1))
+    tower = ((1, 0, 0), (1, 0, 1), (1, 0, 2))
+    waiting = ((0, -5, 0), (1, -5, 0), (2, -5, 0), (4, -5, 0), (3, -5, 0), (5, -5, 0))
+    for row, shape in enumerate((s_shape, tower)):
+        cells = np.array([cube, *shape, *waiting], float) * 0.05 + [0, 0, 0.025]
+        state.position[row, :10] = cells
+        state.object_id[row, :10] = [0, 1, 1, 1, 2, 2, 2, 3, 3, 3]
+        state.num_placed[row], state.num_blocks[row] = 4, 10
+    actions = np.array([[0, 0, 3], [0, 0, 3]])
+    exact = model.step(state, actions)
+    faulty = LegacyModel(model, np.random.default_rng(0)).step(state, actions)
+    assert (exact.reward >= 0).all()
+    assert faulty.reward.tolist()[0] == -1
+    assert faulty.terminal[0]
+    assert faulty.reward[1] >= 0
+    ids = faulty.states.state.object_id[1, :10].tolist()
+    assert len(set(ids[:4])) == 4  # nothing placed is joined any more
+    # The chain of three was placed whole; of the bar listed middle first only a pair is left.
+    assert [ids[k] == ids[k + 1] for k in range(4, 9)] == [True, True, False, True, False]
+    # What is further down a walk is not rebuilt again.
+    again = LegacyModel(model, np.random.default_rng(0)).step(faulty.states, actions)
+    assert again.states.state.object_id[1, 7] == faulty.states.state.object_id[1, 7]
+
+
+def test_legacy_search_plays() -> None:
+    """A search over it keeps the world; without the faults' conditions it is the exact search."""
+    task = TINY.replace(num_sides=2, num_nodes=20, grid=3)
+    model, state = walls(task, 8)
+    fresh = model.simulator.new(8, np.random.default_rng(3))
+    config = SearchConfig(budget=12, epsilon=0.0, expansion="uct", widening=0.5, rollout=2)
+    for worlds, same in ((fresh, True), (state, False)):
+        before = worlds.copy()
+        legacy = LegacyModel(model, np.random.default_rng(0))
+        faulty = search(legacy, worlds, config, np.random.default_rng(0))
+        exact = search(model, worlds, config, np.random.default_rng(0))
+        for mine, theirs in zip(worlds, before, strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+        if same:
+            assert [d.action.tolist() for d in faulty] == [d.action.tolist() for d in exact]
+
+
+def test_the_legacy_search_keeps_a_cover_that_was_never_normalised() -> None:
+    task = get_task("robot-two-sided-3x3-10-14").replace(arm="none")
+    sim = Simulator(task)
+    state = sim.new(20, np.random.default_rng(2))
+    network = make_network(fit_to(CONFIGS["published"], task).network)
+    legacy = LegacyModel(WorldModel(sim, network), np.random.default_rng(0))
+    actions = np.tile([0, 0, 0], (20, 1))
+    after = legacy.step(state, actions).states.state
+    assert (after.initial_pixels == 0).all()

@@ -9,9 +9,9 @@ for
 .. math::  V(h) = \max_n\ [c(h + e_n) > c(h)] + \gamma V(h + e_n),
 
 and :math:`V = 0` where the episode has ended. On the lattice only a block in a face plane can raise
-the plane cover (``tests/test_exact.py`` tries all others). Delete the blocks outside the towers
-from any sequence: every gain stays and comes no later, and success comes no earlier. What is lost
-is only how a place was reached. A block outside touches one place at most, and two that touch each
+the plane cover (``test_exact.py`` tries all others). Delete the blocks outside the towers from any
+sequence: every gain stays and comes no later, and success comes no earlier. What is lost is only
+how a place was reached. A block outside touches one place at most, and two that touch each
 other belong to the same or to neighbouring places, so a place none of whose neighbours stands takes
 a detour of three blocks or more; it may be used for the price of three steps, paid once. Where
 there are too many structures, :func:`tower_bound` takes the place of the sweep.

@@ -1,7 +1,8 @@
 """Small random structures of given blocks, planned and, independently, tried out.
 
-``python tests/test_random_structures.py 300 [WORD]`` runs 300 cases of every comparison, or of
-those with that word in their name, and prints what differs.
+``python test_random_structures.py 300 [WORD]``, in this folder and with ``tests`` in PYTHONPATH,
+runs 300 cases of every comparison, or of those with that word in their name, and prints what
+differs.
 """
 
 from __future__ import annotations

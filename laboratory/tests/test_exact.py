@@ -16,6 +16,7 @@ from l2a_lab.bounds import (
     cell_pixels,
     find_towers,
     gains,
+    has_bound,
     is_in_reach,
     return_bound,
     sweep,
@@ -36,7 +37,7 @@ from learn2assemble.constants import EDGE, HALF
 from learn2assemble.errors import InputError
 from learn2assemble.tasks.graph.features import node_offset
 from learn2assemble.tasks.simulator import Simulator
-from learn2assemble.tasks.task import Task, get_task
+from learn2assemble.tasks.task import PRESETS, Task, get_task
 from learn2assemble.tasks.world.blocks import DIRECTIONS
 from learn2assemble.tasks.world.coverage import ROWS, WORDS, add_box, clear_to_ground, to_pixels
 from learn2assemble.tasks.world.layouts import start_objects, waiting_places
@@ -472,3 +473,8 @@ def test_an_inventory_counts_turned_objects_as_one_shape() -> None:
     )
     assert sorted(state_inventory(state, 0).counts) == [1, 2]
     assert sorted(state_inventory(state, 0, rotations=1).counts) == [1, 1, 1]
+
+
+@pytest.mark.parametrize("name", [name for name, task in PRESETS.items() if task.has_arm])
+def test_blocks_that_do_not_touch_have_no_bound(name: str) -> None:
+    assert not has_bound(PRESETS[name].replace(arm="none"))
