@@ -73,24 +73,6 @@ def evaluate(*words: str) -> list[str]:
     return ["eval", TASK, "--agent", "{d}/agent", "--episodes", "1", *words]
 
 
-def table(*words: str) -> list[str]:
-    """A table from no files at all; nothing is measured."""
-    return [
-        "table",
-        *words,
-        *([] if "--agents" in words or "--train" in words else ["--from-files"]),
-        *([] if "--out" in words else ["--out", "{d}/new"]),
-    ]
-
-
-def keep(folder: str) -> list[str]:
-    return ["keep", folder, "--runs", "{d}/new/runs.jsonl.gz", "--agents", "{d}/new"]
-
-
-def curves(name: str, *words: str) -> list[str]:
-    return ["curves", name, "--runs", "{d}/nosuch", "--out", "{d}/new", *words]
-
-
 def build(*words: str) -> list[str]:
     """A build of a task with a valid agent; later words win."""
     return ["build", TASK, "--out", "{d}/new", "--agent", "{d}/agent", "--seconds", "1", *words]
@@ -428,12 +410,6 @@ BAD = [
         evaluate("--out", "{d}/special/nowhere"),
         "a new one, not a symbolic link",
     ),
-    BadCall(
-        "measured builds through a link",
-        ["measure-builds", "--out", "{d}/special/link"],
-        "not a symbolic link",
-    ),
-    BadCall("table into a link", table("T1", "--out", "{d}/special/linked"), "not a symbolic link"),
     # build
     BadCall("check nothing", ["check"], "FILE"),
     BadCall("check a missing file", ["check", "{d}/nosuch.json"], "nosuch.json"),
@@ -610,17 +586,6 @@ BAD = [
     BadCall("build for negative time", build("--seconds", "-5"), "a number from 0.001"),
     BadCall("build for nan seconds", build("--seconds", "nan"), "a number from 0.001"),
     BadCall("build for ever", build("--seconds", "inf"), "a number from 0.001"),
-    BadCall("fidelities of a task without an arm", ["fidelities", TASK], "tasks with an arm"),
-    BadCall(
-        "fidelities into a file that is there",
-        ["fidelities", "robot-two-sided-3x3-10-14", "--out", "{d}/file.txt"],
-        "a new file",
-    ),
-    BadCall(
-        "fidelities with an unknown arm",
-        ["fidelities", "robot-two-sided-3x3-10-14", "--arm", "kuka"],
-        "arm",
-    ),
     BadCall(
         "unknown arm", exact_arm("--arm", "pandas"), "arm: got 'pandas', expected one of panda"
     ),
@@ -808,24 +773,6 @@ BAD = [
     BadCall("a memory of terabytes", train("--set", "replay_size=1000000000000"), "1 to 10000000"),
     BadCall("resume with --samples", resume("{d}/run", "--samples", "99"), "own configuration"),
     # table and curves
-    BadCall("no table", ["table"], "NAME"),
-    BadCall("unknown table", table("T22"), "did you mean 'T2'"),
-    BadCall("misspelt table", table("shiped"), "did you mean 'shipped'"),
-    BadCall("table of no episodes", table("T1", "--episodes", "0"), "a whole number from 1"),
-    BadCall("table by no worker", table("T1", "--workers", "0"), "a whole number from 1"),
-    BadCall("table into a file", ["table", "T1", "--out", "{d}/file.txt"], "a writable folder"),
-    BadCall("table of missing agents", table("T1", "--agents", "{d}/nosuch"), "no such file"),
-    BadCall("table trained and not", table("T1", "--train", "--from-files"), "not allowed with"),
-    BadCall(
-        "table into another page",
-        table("T1", "--out", "{d}/special/page"),
-        "a page of this command",
-    ),
-    BadCall(
-        "table into other figures",
-        table("T1", "--out", "{d}/special/figures"),
-        "figures of this command",
-    ),
     BadCall("workers of one training", train("--workers", "3"), "--workers: got 3, expected none"),
     BadCall("agents by name alone", ["agents", "dqn-s0"], "fetch"),
     BadCall(
@@ -852,29 +799,6 @@ BAD = [
         "writable",
     ),
     BadCall("no episodes shown", ["demonstrate", "designs-cubes-60", "--episodes", "0"], "from 1"),
-    BadCall("no curves", ["curves"], "NAME"),
-    BadCall("misspelt curves", curves("algoritms"), "did you mean 'algorithms'"),
-    BadCall(
-        "curves of no runs",
-        curves("algorithms", "--runs", "{d}/runs.jsonl.gz"),
-        "such as dqn-paper-s0",
-    ),
-    BadCall("curves of missing runs", curves("algorithms"), "file of runs"),
-    BadCall("curves of a folder", curves("algorithms", "--runs", "{d}/full"), "runs.jsonl.gz"),
-    BadCall(
-        "curves of what is not packed",
-        curves("algorithms", "--runs", "{d}/not_gzip.jsonl.gz"),
-        "a file of runs",
-    ),
-    BadCall(
-        "curves of other lines",
-        curves("algorithms", "--runs", "{d}/other_lines.jsonl.gz"),
-        "config and log of a training",
-    ),
-    BadCall("keep nothing", ["keep"], "FOLDER"),
-    BadCall("keep no run", keep("{d}/full"), "no such file"),
-    BadCall("keep a missing run", keep("{d}/nosuch"), "no such file"),
-    BadCall("keep a damaged run", keep("{d}/bad_config"), "config.json: line 1"),
     # eval
     BadCall("eval nothing", ["eval"], "TASK"),
     BadCall("eval a misspelt task", ["eval", "two-sided-4x4-20-30"], "did you mean"),
@@ -904,37 +828,7 @@ BAD = [
     ),
     BadCall("eval into a long name", evaluate("--out", "{d}/" + LONG), "--out"),
     # replay
-    BadCall("replay nothing", ["replay"], "FILE"),
-    BadCall("replay a missing file", ["replay", "{d}/nosuch.jsonl"], "no such file"),
-    BadCall("replay a folder", ["replay", "{d}/full"], "not a plain file"),
-    BadCall("replay what is not JSON", ["replay", "{d}/not_json.jsonl"], "line 1"),
-    BadCall("replay a list", ["replay", "{d}/list.jsonl"], "a JSON object"),
-    BadCall("replay another robot's log", ["replay", "{d}/robot.jsonl"], "3robo"),
-    BadCall("replay what is not packed", ["replay", "{d}/not_gzip.jsonl.gz"], "line 1"),
-    BadCall(
-        "replay a good and a bad file",
-        ["replay", "{d}/log.jsonl", "{d}/list.jsonl"],
-        "list.jsonl line 1",
-    ),
-    BadCall("replay an empty file", ["replay", "{d}/empty.jsonl"], "empty.jsonl"),
-    BadCall("replay a damaged archive", ["replay", "{d}/damaged.jsonl.gz"], "damaged.jsonl.gz"),
-    BadCall("replay a long name", ["replay", LONG], "no such file"),
     # bench
-    BadCall(
-        "builder of another teacher",
-        ["train-builder", "--out", "{d}/another", "--teacher", "paper"],
-        "exact",
-    ),
-    BadCall(
-        "builder with the name of a folder",
-        ["train-builder", "--out", "{d}/another", "--name", "../up"],
-        "without a folder",
-    ),
-    BadCall(
-        "builds that were not measured go on",
-        ["measure-builder-arm", "--out", "{d}/new", "--resume"],
-        "expected a measurement",
-    ),
     BadCall(
         "a search without simulations",
         evaluate("--search", "mcts", "--budget", "0"),
@@ -958,86 +852,6 @@ BAD = [
         "noise without an arm",
         ["build", "{d}/design.json", "--out", "{d}/another", "--sense-noise", "5"],
         "an arm",
-    ),
-    BadCall(
-        "builder there is not",
-        ["measure-builder", "--out", "{d}/new", "--agent", "nobody"],
-        "builder",
-    ),
-    BadCall(
-        "measured builds into another file",
-        ["measure-builds", "--out", "{d}/design.json"],
-        "a new file",
-    ),
-    BadCall(
-        "measured builds there are not",
-        ["measure-builds", "--out", "{d}/new.json", "--only", "nosuch"],
-        "--only",
-    ),
-    BadCall(
-        "measured goals into another file",
-        ["measure-goals", "--out", "{d}/design.json"],
-        "a new file",
-    ),
-    BadCall(
-        "measured goals there are not",
-        ["measure-goals", "--out", "{d}/new.json", "--only", "nosuch"],
-        "--only",
-    ),
-    BadCall(
-        "a builder into a folder with something in it",
-        ["train-builder", "--out", "{d}/run"],
-        "new or empty folder",
-    ),
-    BadCall(
-        "figures of cameras that are not there",
-        ["measure-sensing", "--out", "{d}/new.json", "--only", "nosuch"],
-        "part of the name",
-    ),
-    BadCall(
-        "figures of given blocks over a design",
-        ["measure-structures", "--out", "{d}/design.json"],
-        "a new file, or a result of this command",
-    ),
-    BadCall(
-        "figures of given blocks that are not there",
-        ["measure-structures", "--out", "{d}/new.json", "--only", "nosuch"],
-        "part of the name",
-    ),
-    BadCall(
-        "figures of speed over a design",
-        ["measure-speed", "--out", "{d}/design.json"],
-        "a new file, or a result of this command",
-    ),
-    BadCall(
-        "figures of two arms over a design",
-        ["measure-two-arms", "--out", "{d}/design.json"],
-        "a new file, or a result of this command",
-    ),
-    BadCall(
-        "figures of two arms that are not there",
-        ["measure-two-arms", "--out", "{d}/new.json", "--only", "nosuch"],
-        "part of the name",
-    ),
-    BadCall(
-        "figures of hidden errors over a design",
-        ["measure-hidden", "--out", "{d}/design.json"],
-        "a new file, or a result of this command",
-    ),
-    BadCall(
-        "figures of hidden errors that are not there",
-        ["measure-hidden", "--out", "{d}/new.json", "--only", "nosuch"],
-        "part of the name",
-    ),
-    BadCall(
-        "measured designs into another file",
-        ["measure-designs", "--out", "{d}/design.json"],
-        "a new file",
-    ),
-    BadCall(
-        "measured designs there are not",
-        ["measure-designs", "--out", "{d}/new.json", "--only", "nosuch"],
-        "--only",
     ),
     BadCall("bench for no time", ["bench", "--seconds", "0"], "a number from 0.001"),
     BadCall("bench for ever", ["bench", "--seconds", "inf"], "a number from 0.001"),
@@ -1091,11 +905,7 @@ BAD = [
             ["reach", "{d}/design.json", "--arm", "panda", "--out", ""],
             ["export", "{d}", "--format", "glb", "--out", ""],
             ["view", "--no-browser", ""],
-            ["replay", ""],
             ["replay-trajectory", "--arm", "panda", ""],
-            ["table", "T1", "--from-files", "--out", ""],
-            ["curves", "algorithms", "--runs", ""],
-            ["measure-goals", "--out", ""],
         )
     ),
     BadCall("a zero byte in a name", build("--out", "{d}/a\0b"), "zero byte"),
@@ -1145,24 +955,10 @@ BAD = [
         ],
         "a cup does not hold on studs",
     ),
-    *(
-        BadCall(
-            f"tasks: {name}",
-            ["workbenchmark", "--tasks", f"{{d}}/bricks/{name}.jsonl", "--out", "{d}/new"],
-            fragment,
-        )
-        for name, fragment in {
-            "words": "a task as JSON",
-            "empty": "got '0 lines'",
-            "short": "the key 'initial_blocks'",
-            "none": "no such file",
-        }.items()
-    ),
     # Names that are misspelt.
     *(
         BadCall(f"a misspelt {what}", words, f"no such file', expected a {what}")
         for what, words in {
-            "recording": ["replay", "{d}/lgo.jsonl"],
             "program": ["replay-trajectory", "{d}/rate_hihg.csv", "--arm", "ur5e"],
             "file or folder of an agent": evaluate("--agent", "{d}/agnet"),
             "file of an agent": evaluate("--agent", "{d}/agent/agnet.safetensors"),
@@ -1176,9 +972,6 @@ BAD = [
             ],
             "folder of a build": ["export", "{d}/rnu", "--format", "csv"],
             "folder of a training run": resume("{d}/rnu"),
-            "file of runs": curves("algorithms", "--runs", "{d}/rusn.jsonl.gz"),
-            "folder of agents": table("T1", "--agents", "{d}/agnet"),
-            "folder of examples": ["measure-builder", "--out", "{d}/new", "--examples", "{d}/rnu"],
             "layout file": exact_arm("--layout", "{d}/layuot.json"),
             "kit file": ["build", "{d}/design.json", "--out", "{d}/new", "--kit", "{d}/kti.toml"],
         }.items()
@@ -1186,9 +979,4 @@ BAD = [
     BadCall("a misspelt folder that was meant", resume("{d}/rnu"), "/run'?"),
     BadCall("a design without its ending", ["build", "{d}/design", *build()[2:]], "/design.json'?"),
     BadCall("a link to nowhere", ["check", "{d}/special/nowhere"], "a link to nowhere"),
-    BadCall(
-        "a builder that is misspelt",
-        ["measure-builder", "--out", "{d}/new", "--agent", "bilder-s0"],
-        "did you mean 'builder-s0'",
-    ),
 ]

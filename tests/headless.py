@@ -4,6 +4,7 @@ pictures show, and scripts of the repository, run as a user runs them.
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import subprocess
@@ -116,3 +117,10 @@ def run_script(script: Path, *words: str, cwd: Path) -> str:
     )
     assert done.returncode == 0, done.stderr[-2000:]
     return done.stdout
+
+
+class Terminal(io.StringIO):
+    """Keeps what is written to it, as a terminal would show it."""
+
+    def isatty(self) -> bool:
+        return True

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -417,3 +419,9 @@ def test_open_loop_motions_give_the_same_structure() -> None:
     assert plan.status == "complete"
     run = play(make_program(record, PANDA), PANDA)
     assert run.error.max() < 1e-3
+
+
+def test_episodes_load_without_ruckig() -> None:
+    """Its extra is named where an arm moves, which a task need not have."""
+    code = "import sys; sys.modules['ruckig'] = None; import learn2assemble.tasks.episode"
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -18,7 +18,7 @@ import pytest
 import torch
 
 from bad_calls import BAD, TASK, TINY_RUN, BadCall, prepare
-from l2a_lab.__main__ import command_line
+from headless import Terminal
 from learn2assemble import __version__
 from learn2assemble.cli import main, output
 from learn2assemble.cli.parser import COMMANDS, L2A, LABORATORY, CommandLine, make_parser
@@ -53,24 +53,16 @@ class Result(NamedTuple):
         return value
 
 
-PROGRAMS = {"l2a": L2A, "l2a-lab": command_line()}
-
-
-def program_of(*words: object) -> CommandLine:
-    """That whose command the first word is: ``l2a``, but for those of the laboratory."""
-    return PROGRAMS["l2a-lab" if words and words[0] in LABORATORY else "l2a"]
-
-
 class Call:
-    """Runs ``l2a``, or ``l2a-lab`` for a command of the laboratory, in this process."""
+    """Runs a program, ``l2a`` by default, in this process."""
 
-    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
-        self.capsys = capsys
+    def __init__(self, capsys: pytest.CaptureFixture[str], program: CommandLine = L2A) -> None:
+        self.capsys, self.program = capsys, program
 
     def __call__(self, *words: object) -> Result:
         self.capsys.readouterr()
         try:
-            code: Any = main([str(word) for word in words], program_of(*words))
+            code: Any = main([str(word) for word in words], self.program)
         except SystemExit as leave:
             code = leave.code
         captured = self.capsys.readouterr()
@@ -87,23 +79,29 @@ def subprocess_l2a(*words: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
 
 
-@pytest.fixture(scope="session")
-def agent(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def make_agent(folder: Path) -> Path:
     """Folder of a small agent that has learned nothing."""
-    folder = tmp_path_factory.mktemp("agent")
     torch.manual_seed(0)
     config = NetworkConfig(width=16, heads=2, rounds=1, position_scale=0.1)
     save_agent(Agent("agent", QNetwork(config), TASK, {}), folder)
     return folder
 
 
-@pytest.fixture(scope="session")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def make_run(folder: Path) -> Path:
     """Folder of a finished, tiny training."""
-    folder = tmp_path_factory.mktemp("run") / "run"
     code = main(["train", TASK, "--out", str(folder), "--samples", "24", *TINY_RUN])
     assert code == 0
     return folder
+
+
+@pytest.fixture(scope="session")
+def agent(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_agent(tmp_path_factory.mktemp("agent"))
+
+
+@pytest.fixture(scope="session")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_run(tmp_path_factory.mktemp("run") / "run")
 
 
 @pytest.fixture(scope="session")
@@ -128,21 +126,38 @@ def fingerprint(folder: Path) -> dict[str, str]:
 # Help and versions.
 
 
-@pytest.mark.parametrize("command", [None, *COMMANDS, *LABORATORY])
-def test_help_shows_an_example(l2a: Call, command: str | None) -> None:
-    result = l2a(*([command] if command else []), "--help")
+def help_of(call: Call, *command: str) -> str:
+    """The help of a program or of a command, in one line."""
+    result = call(*command, "--help")
     assert result.code == 0
     assert result.err == ""
-    text = " ".join(result.out.split())
+    return " ".join(result.out.split())
+
+
+def check_help(call: Call, command: str) -> None:
+    """The help of a command shows an example, whose words are accepted; the files that it names are
+    in the repository."""
+    text, name = help_of(call, command), call.program.name
+    assert f"example: {name} {command}" in text
+    assert "--json" in text
+    options = make_parser((), call.program).parse_args(text.split(f"example: {name} ")[1].split())
+    for file in [getattr(options, "design", None), *getattr(options, "files", [])]:
+        assert file is None or (ROOT / file).is_file()
+    assert getattr(options, "task", TASK) in PRESETS
+
+
+def test_the_help_names_every_command(l2a: Call) -> None:
+    text = help_of(l2a)
     assert "example: l2a" in text
-    if command is None:
-        for name in COMMANDS:
-            assert name in text
-        for name in LABORATORY:  # Those have a program of their own.
-            assert f" {name} " not in text
-    else:
-        assert f"example: {program_of(command).name} {command}" in text
-        assert "--json" in text
+    for name in COMMANDS:
+        assert name in text
+    for name in LABORATORY:  # Those have a program of their own.
+        assert f" {name} " not in text
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_shows_an_example_that_can_be_parsed(l2a: Call, command: str) -> None:
+    check_help(l2a, command)
 
 
 def test_the_help_of_build_fits_a_page_and_the_documents_say_more(
@@ -160,17 +175,6 @@ def test_the_help_of_build_fits_a_page_and_the_documents_say_more(
     table = page[page.index("## Options of l2a build") : page.index("## Tasks with an arm")]
     assert len(options) > 30
     assert {option for option in options if f"`{option}" not in table} == set()
-
-
-@pytest.mark.parametrize("command", [*COMMANDS, *LABORATORY])
-def test_examples_of_the_help_can_be_parsed(command: str, l2a: Call) -> None:
-    """The words of every example are accepted, and the files they name are in the repository."""
-    text = " ".join(l2a(command, "--help").out.split())
-    words = text.split(f"example: {program_of(command).name} ", 1)[1].split()
-    options = make_parser((), program_of(command)).parse_args(words)
-    for file in [getattr(options, "design", None), *getattr(options, "files", [])]:
-        assert file is None or (ROOT / file).is_file()
-    assert getattr(options, "task", TASK) in PRESETS
 
 
 def test_version(l2a: Call) -> None:
@@ -229,11 +233,6 @@ def test_resume_of_a_finished_build_is_complete(
     plan["status"] = "incomplete"
     (folder / "plan.json").write_text(json.dumps(plan), "utf-8")
     assert l2a(*words).code == 2
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
 
 
 def test_a_terminal_is_never_left_in_silence(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -570,40 +569,45 @@ def test_a_reader_that_leaves_is_no_error() -> None:
 
 def test_list_of_bad_calls_covers_every_command() -> None:
     assert len({call.name for call in BAD}) == len(BAD) >= 40
-    assert {call.words[0] for call in BAD if call.words} >= {*COMMANDS, *LABORATORY}
+    assert {call.words[0] for call in BAD if call.words} >= {*COMMANDS}
 
 
-@pytest.fixture(scope="session")
-def stage(tmp_path_factory: pytest.TempPathFactory, agent: Path, run: Path, data: Path) -> Path:
+def make_stage(folder: Path, agent: Path, run: Path) -> Path:
     """The folder bad calls name; a test that changes it fails."""
-    folder = tmp_path_factory.mktemp("stage")
-    log = data / "transitions_sample.jsonl"
+    log = Path(__file__).parent / "data" / "transitions_sample.jsonl"
     prepare(folder, agent, run, DESIGNS / "stepped_tower.json", log)
     return folder
 
 
-def test_commands_of_the_laboratory_are_not_those_of_the_product(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """Who asks the one program for a command of the other is told where it is."""
-    assert not set(COMMANDS) & set(LABORATORY)
-    for words, said in (
-        (["table", "T2"], "l2a-lab table, or python -m l2a_lab table"),
+@pytest.fixture(scope="session")
+def stage(tmp_path_factory: pytest.TempPathFactory, agent: Path, run: Path) -> Path:
+    return make_stage(tmp_path_factory.mktemp("stage"), agent, run)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
         (["buld", "gate.svg"], "l2a: error: command: got 'buld', did you mean 'build'?"),
         (["xyzzy"], "l2a: error: command: got 'xyzzy', which there is not"),
-    ):
-        with pytest.raises(SystemExit):
-            main(words)
-        (line,) = capsys.readouterr().err.splitlines()
-        assert said in line
-        assert len(line) < 160
+    ],
+)
+def test_a_command_that_there_is_not_is_told_in_a_line(
+    words: list[str], said: str, l2a: Call
+) -> None:
+    (line,) = l2a(*words).err.splitlines()
+    assert said in line
+    assert len(line) < 160
 
 
 @pytest.mark.parametrize("call", [pytest.param(call, id=call.name) for call in BAD])
 def test_bad_call(call: BadCall, l2a: Call, stage: Path) -> None:
+    check_refused(call, l2a, stage)
+
+
+def check_refused(call: BadCall, program: Call, stage: Path) -> None:
     """Exit code 2, one line on standard error that says what is wrong, nothing written."""
     before = fingerprint(stage)
-    result = l2a(*[word.replace("{d}", str(stage)) for word in call.words])
+    result = program(*[word.replace("{d}", str(stage)) for word in call.words])
     assert result.code == 2
     assert result.out == ""
     lines = [

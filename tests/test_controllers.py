@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from fake_controller import FakeProcess
+from fake_ur import Script, ScriptError
 from learn2assemble.controllers.common import Address, ControllerClock, felt
 from learn2assemble.controllers.ur import STATE, UrPlant
 from learn2assemble.controllers.ur_motion import motion_script
@@ -37,7 +38,6 @@ from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import IMMOVABLE
-from urscript import Script, ScriptError
 
 ARM = get_arm("ur5e", "suction")
 PATIENT = 1e3

@@ -21,9 +21,8 @@ import pytest
 from PIL import Image
 
 from headless import ROOT, run_script
-from l2a_lab.__main__ import command_line
 from learn2assemble.cli import main
-from learn2assemble.cli.parser import L2A, make_parser
+from learn2assemble.cli.parser import L2A, CommandLine, make_parser
 from learn2assemble.tasks.networks.agent import agent_files
 from learn2assemble.tasks.task import PRESETS
 
@@ -33,7 +32,6 @@ FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.M | re.S)
 FILE = re.compile(r'^```\w+ title="([\w.]+)"\n(.*?)^```', re.M | re.S)
 """A block that a reader saves under the name it has."""
 COMMAND = re.compile(r"^\s*(?:\.venv/bin/)?(l2a(?:-lab)?)\s+(.*)$", re.M)
-PROGRAMS = {program.name: program for program in (L2A, command_line())}
 _SMALL = ("num_envs=4", "network.width=16", "batch_size=4", "initial_samples=4")
 TINY = {
     "train": [
@@ -50,7 +48,7 @@ TABBED = {"pymdownx.tabbed": {"alternate_style": True}}
 PARSED = {
     "--server": "asks a process beside it: test_benchmark",
     "ur://": "moves a robot: test_run, with a fake controller",
-    "keep runs": "writes into the repository: test_commands",
+    "keep runs": "writes into the repository: test_table_cli",
     "--quick": "measures for minutes",
     "--train": "trains for hours",
     "--agents": "measures for hours",
@@ -90,21 +88,19 @@ def test_commands_are_found() -> None:
     assert len(commands()) >= 20
 
 
-def test_commands_of_the_laboratory_are_those_of_its_own_program() -> None:
-    """Everywhere in the documents, in their sentences, too."""
-    names = set(PROGRAMS["l2a-lab"].commands)
-    assert names
-    for page in PAGES:
-        text = page.read_text(encoding="utf-8")
-        assert not names & set(re.findall(r"\bl2a ([a-z][a-z-]*)", text)), page.name
-        assert set(re.findall(r"\bl2a-lab ([a-z][a-z-]*)", text)) <= names, page.name
+def commands_of(program: CommandLine) -> list[tuple[str, list[str]]]:
+    """Page and words of every command of a program."""
+    return [(page, words) for page, name, words in commands() if name == program.name]
 
 
-@pytest.mark.parametrize(
-    ("page", "program", "words"), commands(), ids=lambda value: str(value)[:60]
-)
-def test_a_command_of_a_document_is_accepted(page: str, program: str, words: list[str]) -> None:
-    options = make_parser(words, PROGRAMS[program]).parse_args(words)
+@pytest.mark.parametrize(("page", "words"), commands_of(L2A), ids=lambda value: str(value)[:60])
+def test_a_command_of_a_document_is_accepted(page: str, words: list[str]) -> None:
+    check_accepted(page, words, L2A)
+
+
+def check_accepted(page: str, words: list[str], program: CommandLine) -> None:
+    """The words are of the program, and what they name there is."""
+    options = make_parser(words, program).parse_args(words)
     task = getattr(options, "task", None)
     assert task is None or task in PRESETS, page
     design = getattr(options, "design", None)
@@ -137,7 +133,12 @@ def commands_that_run() -> dict[str, list[Told]]:
     return {" ".join(sorted(pages)): [*told.values()] for pages, told in groups}
 
 
-GROUPS = commands_that_run()
+GROUPS = {
+    pages: [words for _, words in told]
+    for pages, told in commands_that_run().items()
+    if {name for name, _ in told} == {L2A.name}
+}
+"""Those of the product alone; tests of the laboratory run the others."""
 
 
 def small(words: list[str]) -> list[str]:
@@ -155,19 +156,28 @@ def small(words: list[str]) -> list[str]:
 def test_the_commands_of_the_documents_run(
     pages: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One after the other in one folder, as they use what the ones before have written; videos have
-    fewer pictures."""
-    monkeypatch.chdir(tmp_path)
+    """One after the other in one folder, as they use what the ones before have written."""
+    set_up_folder(tmp_path, monkeypatch)
+    for words in GROUPS[pages]:
+        check_runs(words, L2A, capsys)
+
+
+def check_runs(words: list[str], program: CommandLine, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command, made small, succeeds."""
+    code = main(small(words), program)
+    assert code == 0, (" ".join(words), capsys.readouterr().err[-500:])
+
+
+def set_up_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Be in a folder with what commands of documents read; videos have fewer pictures."""
+    monkeypatch.chdir(folder)
     monkeypatch.setattr("learn2assemble.viewer.server.serve", lambda *_: "")
     monkeypatch.setattr("learn2assemble.viewer.video.SPEED", 20.0)
     for name in ("examples", "tests"):
-        (tmp_path / name).symlink_to(ROOT / name)
-    shutil.copytree(ROOT / "results", tmp_path / "results")
+        (folder / name).symlink_to(ROOT / name)
+    shutil.copytree(ROOT / "results", folder / "results")
     for name, content in FILES.items():
-        (tmp_path / name).write_text(content, encoding="utf-8")
-    for program, words in GROUPS[pages]:
-        code = main(small(words), PROGRAMS[program])
-        assert code == 0, (" ".join(words), capsys.readouterr().err[-500:])
+        (folder / name).write_text(content, encoding="utf-8")
 
 
 @pytest.mark.slow

@@ -15,9 +15,8 @@ from pathlib import Path
 import pytest
 
 import learn2assemble as l2a
-from l2a_lab.__main__ import command_line
 from learn2assemble.cli import main
-from learn2assemble.cli.parser import COMMANDS, L2A, LABORATORY
+from learn2assemble.cli.parser import COMMANDS, L2A, CommandLine
 from learn2assemble.errors import MissingExtraError, require
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -96,27 +95,10 @@ for name in sys.argv[1:]:
 LEARNS = {
     "agents": ["list"],
     "benchmark": ["board", "entry.jsonl.gz"],
-    "curves": ["algorithms"],
     "demonstrate": ["two-sided-3x3-20-24"],
     "eval": ["two-sided-3x3-20-24"],
-    "keep": ["run"],
-    "fidelities": ["robot-two-sided-3x3-10-14"],
-    "measure-builder": ["--out", "new"],
-    "measure-builder-arm": ["--out", "new"],
-    "measure-builds": [],
-    "measure-designs": [],
-    "measure-goals": [],
-    "measure-hidden": [],
-    "measure-sensing": [],
-    "measure-speed": [],
-    "measure-structures": [],
-    "measure-two-arms": [],
-    "replay": ["transitions.jsonl"],
-    "table": ["T1"],
     "tasks": [],
     "train": ["two-sided-3x3-20-24", "--out", "new"],
-    "train-builder": ["--out", "new"],
-    "workbenchmark": ["--tasks", "tasks.jsonl.gz"],
 }
 """Commands that need the extra, with what they cannot do without."""
 
@@ -167,10 +149,14 @@ def test_every_module_loads_or_names_the_extra(tmp_path: Path) -> None:
 
 @pytest.fixture
 def product(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """In an empty folder, without what the extra brings."""
+    without_extra(monkeypatch, tmp_path)
+
+
+def without_extra(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    """Be in an empty folder, without what the extra brings."""
     for name in ("torch", "gymnasium", "safetensors", "tqdm"):
         monkeypatch.setitem(sys.modules, name, None)
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(folder)
 
 
 @pytest.mark.usefixtures("product")
@@ -187,28 +173,37 @@ def product(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 def test_what_learns_names_the_extra(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    program = command_line() if words[0] in LABORATORY else L2A
+    check_extra_is_named(words, L2A, tmp_path, capsys)
+
+
+def check_extra_is_named(
+    words: list[str], program: CommandLine, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A command without it says how to install it in one line, and writes nothing."""
     assert main(words, program) == 2
     told = capsys.readouterr()
     assert told.out == ""
     assert told.err.count("\n") == 1
     assert LINE in told.err
-    assert not list(tmp_path.iterdir())
+    assert not list(folder.iterdir())
 
 
 def test_the_list_of_what_learns_is_complete() -> None:
-    known = {**COMMANDS, **LABORATORY}
-    assert {name for name, command in known.items() if command.learns} == set(LEARNS)
+    assert {name for name, command in COMMANDS.items() if command.learns} == set(LEARNS)
 
 
 @pytest.mark.usefixtures("product")
 def test_the_help_needs_no_extra(capsys: pytest.CaptureFixture[str]) -> None:
-    for program in (L2A, command_line()):
-        for name in program.commands:
-            with pytest.raises(SystemExit) as left:
-                main([name, "--help"], program)
-            assert left.value.code == 0
-            assert f"example: {program.name} {name}" in capsys.readouterr().out
+    check_help(L2A, capsys)
+
+
+def check_help(program: CommandLine, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every command of a program shows its help."""
+    for name in program.commands:
+        with pytest.raises(SystemExit) as left:
+            main([name, "--help"], program)
+        assert left.value.code == 0
+        assert f"example: {program.name} {name}" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("product")
@@ -340,6 +335,16 @@ def test_the_wheel_builds_a_design_elsewhere(tmp_path: Path) -> None:
     assert result["status"] == "complete"
     for name in ("plan.json", "view.html", "progress.png"):
         assert (tmp_path / "out" / name).stat().st_size > 1000
+    where = subprocess.run(
+        [sys.executable, "-c", "import learn2assemble; print(learn2assemble.__file__)"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "PYTHONPATH": str(installed)},
+    )
+    assert str(installed) in where.stdout
+    pytest.importorskip("torch")  # What follows is told where the extra is installed.
     absent = subprocess.run(
         [sys.executable, "-m", "learn2assemble", "eval", "bars-one-sided-5x5-25-27"],
         cwd=tmp_path,
@@ -352,12 +357,3 @@ def test_the_wheel_builds_a_design_elsewhere(tmp_path: Path) -> None:
     (line,) = absent.stderr.splitlines()
     assert "relational-bars-s0" in line
     assert "to fetch it (fetch_agents)" in line
-    where = subprocess.run(
-        [sys.executable, "-c", "import learn2assemble; print(learn2assemble.__file__)"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=True,
-        env={**os.environ, "PYTHONPATH": str(installed)},
-    )
-    assert str(installed) in where.stdout

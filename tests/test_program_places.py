@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rosbags.highlevel import AnyReader
 
 from arm_record import arm_record
 from cell_shapes import wall
@@ -30,7 +29,7 @@ from learn2assemble.motion.settings import ProgramSettings
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import forward_many, get_chain
-from test_robot_programs import UrScript
+from test_robot_programs import UrScript, read_bag
 from test_workcell import planned
 
 
@@ -358,7 +357,7 @@ def test_steps_and_blocks_are_called_as_in_the_plan(
     places = json.loads(head["places"])
     assert [one["blocks"] for one in places] == [list(p.blocks) for p in supplied(record).places]
     assert {"centre", "turn", "tool"} == set(places[0]["base"])
-    with AnyReader([export_program(record, "ros2", tmp_path).file]) as bag:
+    with read_bag(export_program(record, "ros2", tmp_path).file) as bag:
         wanted = [c for c in bag.connections if c.topic in ("/stage", "/check", "/program")]
         said = {c.topic: set[str]() for c in wanted}
         for connection, _, raw in bag.messages(wanted):

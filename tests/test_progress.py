@@ -18,6 +18,7 @@ import pytest
 from numba import njit
 
 import learn2assemble as l2a
+from headless import Terminal
 from learn2assemble import compiling, linear_programs, progress
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell import carry_out
@@ -31,7 +32,6 @@ from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.reports import ArmFailure, ArmReport, BuilderArm
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.progress import Detail
-from test_cli import Terminal
 
 KIT = load_kit("bricks-lintels")
 

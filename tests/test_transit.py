@@ -493,7 +493,6 @@ def test_without_ruckig_the_extra_is_named() -> None:
             "from learn2assemble.robot.arm import get_arm\n"
             "from learn2assemble.simulation.cell import DynamicCell\n"
             "import learn2assemble.benchmark, learn2assemble.cli.commands\n"
-            "import learn2assemble.tasks.episode\n"
             "print('imported')\nDynamicCell(get_arm('panda'))",
         ],
         capture_output=True,
