@@ -6,8 +6,10 @@ import dataclasses
 import hashlib
 import io
 import json
+import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -440,16 +442,6 @@ def test_build_with_the_shipped_agent(l2a: Call, tmp_path: Path) -> None:
     assert result.json()["agent"] in agent_files()
 
 
-@pytest.mark.parametrize("design", ["stepped_tower.json", "h.svg"])
-def test_build_with_the_shipped_builder(l2a: Call, tmp_path: Path, design: str) -> None:
-    words = ["build", DESIGNS / design, "--planner", "agent", "--json"]
-    result = l2a(*words, "--out", tmp_path / "out")
-    told = result.json()
-    assert result.code == 0
-    assert (told["planner"], told["agent"]) == ("agent", "builder-s0")
-    assert told["cells_missing"] == told["cells_outside"] == told["props"] == 0
-
-
 @pytest.mark.skipif(not agent_files(), reason="no agent is shipped")
 def test_eval_with_the_shipped_agent(l2a: Call) -> None:
     result = l2a("eval", TASK, "--episodes", "2", "--json")
@@ -631,3 +623,57 @@ def test_good_twins_of_the_bad_calls_are_accepted(l2a: Call, stage: Path, tmp_pa
     shutil.copytree(stage, folder, ignore=shutil.ignore_patterns("special", "linked"))
     for words in (build("--out", str(folder / "built")), train(), evaluate(), resume("{d}/run")):
         assert l2a(*[word.replace("{d}", str(folder)) for word in words]).code == 0, words
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGINT") or os.name == "nt", reason="needs POSIX signals")
+@pytest.mark.parametrize("wait", [0.0, 0.2, 0.5, 1.0])
+def test_an_interrupt_ends_with_130_and_no_traceback(wait: float, tmp_path: Path) -> None:
+    """From the moment the program runs: while libraries load, and later."""
+    code = (
+        "import sys; sys.argv = ['l2a', *sys.argv[1:]]\n"
+        "from learn2assemble.__main__ import run\n"
+        "import signal, threading\n"
+        "real = signal.signal\n"
+        "def ready(*words):\n"
+        "    found = real(*words); print('ready', flush=True); return found\n"
+        "signal.signal = ready\n"
+        "sys.exit(run())"
+    )
+    words = ["train", "two-sided-3x3-20-24", "--out", str(tmp_path / "out"), "--minutes", "5"]
+    with subprocess.Popen(
+        [sys.executable, "-c", code, *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        time.sleep(wait)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    assert err.rstrip().endswith("l2a: interrupted")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["eval", TASK, "--episodes", "1", "--out", "mine.svg"],
+        ["benchmark", "run", "mine.jsonl.gz", "--policy", "random"],
+        ["train", TASK, "--out", "full"],
+    ],
+)
+def test_commands_refuse_what_is_there(
+    words: list[str], l2a: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("full").mkdir()
+    for name in ("mine.svg", "mine.jsonl.gz", "full/notes.txt"):
+        Path(name).write_text("mine")
+    before = fingerprint(tmp_path)
+    code, _, told = l2a(*words)
+    assert code == 2
+    assert told.count("\n") == 1
+    assert "new" in told
+    assert fingerprint(tmp_path) == before

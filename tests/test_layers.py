@@ -1,4 +1,7 @@
-"""Imports point down only, and training needs five libraries (``docs/architecture.md``)."""
+"""Imports point down only, and training needs five libraries (``docs/architecture.md``).
+
+Tests of the product need the product alone, and no test but its own the laboratory.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from conftest import part_of as part_of_tests
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "learn2assemble"
@@ -102,9 +106,14 @@ def _absolute(node: ast.ImportFrom, module: str) -> str:
     return ".".join([*parents, *([node.module] if node.module else [])])
 
 
-@cache
 def imports(module: str, only_on_import: bool = False) -> frozenset[str]:
     """Full names of what a module imports; ``only_on_import`` leaves out function bodies."""
+    return _imports_of(MODULES[module], module, only_on_import)
+
+
+@cache
+def _imports_of(path: Path, module: str, only_on_import: bool) -> frozenset[str]:
+    """The same of any file; its relative imports are those of a module of that name."""
     found: set[str] = set()
 
     def visit(node: ast.AST) -> None:
@@ -130,7 +139,7 @@ def imports(module: str, only_on_import: bool = False) -> frozenset[str]:
                 )
             visit(child)
 
-    visit(ast.parse(MODULES[module].read_text(encoding="utf-8")))
+    visit(ast.parse(path.read_text(encoding="utf-8")))
     return frozenset(found)
 
 
@@ -248,6 +257,7 @@ def test_a_library_stays_where_it_belongs(library: str, parts: set[str]) -> None
 # ---------------------------------------------------------------- what training needs
 
 
+@cache
 def loaded_with(module: str) -> set[str]:
     """Libraries that importing a module brings, through all modules it imports on the way.
 
@@ -285,6 +295,62 @@ def test_the_walk_finds_what_is_there() -> None:
     assert "highspy" in loaded_with("tasks.physics.equilibrium")
     assert "mujoco" in loaded_with("tasks.episode")
     assert {"torch", "numba"} <= loaded_with("tasks.learning.trainer")
+
+
+# ---------------------------------------------------------------- what tests need
+
+TESTS = {path.stem: path for path in sorted((ROOT / "tests").glob("*.py"))}
+TOOLS = {"pytest", "_pytest", "hypothesis"}
+IMPORTED_AS = {"pillow": "PIL"}
+"""Libraries that are imported by another name than they are installed by."""
+
+
+def needed_by(path: Path) -> set[str]:
+    """Libraries without which a file of tests cannot be loaded: its own, and those of helpers and
+    of modules of the package on the way."""
+    found, seen, queue = set[str](), set[Path](), [path]
+    while queue:
+        file = queue.pop()
+        if file in seen:
+            continue
+        seen.add(file)
+        names = _imports_of(file, "", only_on_import=True)
+        tops = libraries(names)
+        queue += [TESTS[top] for top in tops if top in TESTS]
+        found |= tops - TESTS.keys()
+        for inner in filter(None, map(_inside, names)):
+            for module in (inner, f"{inner}.__init__"):
+                found |= loaded_with(module) if module in MODULES else set()
+    return found
+
+
+def test_no_test_of_the_product_or_of_the_tasks_knows_the_laboratory() -> None:
+    """Not even inside a function; what is the laboratory's is tested in its own folder."""
+    for path in [*TESTS.values(), ROOT / "conftest.py"]:
+        assert "l2a_lab" not in libraries(_imports_of(path, "", only_on_import=False)), path.name
+
+
+def test_tests_of_the_product_are_loaded_with_the_product_alone() -> None:
+    """With what ``pip install '.[robot,video]'`` brings: no PyTorch, no Gymnasium. A test that
+    needs another library asks for it inside (``pytest.importorskip``)."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    lines = [*project["dependencies"], *extras["robot"], *extras["video"]]
+    names = {re.split(r"[^\w-]", line)[0] for line in lines}
+    brought = {IMPORTED_AS.get(name, name) for name in names} | TOOLS
+    files = [path for name, path in TESTS.items() if name.startswith("test_")]
+    product = [path for path in files if part_of_tests(path) == "product"]
+    assert len(product) > 50
+    for path in [*product, ROOT / "conftest.py"]:
+        assert needed_by(path) <= brought, path.name
+
+
+def test_a_test_that_needs_more_is_seen() -> None:
+    """The test above can fail: also by a helper, and by a module of the package."""
+    assert {"torch", "safetensors"} <= needed_by(TESTS["learning_data"])
+    assert "torch" in needed_by(TESTS["test_search"])
+    assert "torch" in needed_by(TESTS["test_evaluation"])
+    assert part_of_tests(TESTS["test_search"]) == "tasks"
 
 
 def declared() -> set[str]:

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import pytest
 
-import learn2assemble as l2a
 from learn2assemble.cli import main
 from learn2assemble.cli.parser import COMMANDS, L2A, CommandLine
 from learn2assemble.errors import MissingExtraError, require
@@ -165,10 +164,8 @@ def without_extra(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     [
         *([name, *words] for name, words in LEARNS.items()),
         ["build", "two-sided-3x3-20-24", "--out", "new"],
-        ["build", str(ROOT / "examples/designs/gate.svg"), "--planner", "agent", "--out", "new"],
-        ["build", str(ROOT / "examples/designs/gate.svg"), "--agent", "builder-s0", "--out", "new"],
     ],
-    ids=lambda words: " ".join(words[:2] if words[0] != "build" else words[::2])[-40:],
+    ids=lambda words: " ".join(words[:2]),
 )
 def test_what_learns_names_the_extra(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -204,13 +201,6 @@ def check_help(program: CommandLine, capsys: pytest.CaptureFixture[str]) -> None
             main([name, "--help"], program)
         assert left.value.code == 0
         assert f"example: {program.name} {name}" in capsys.readouterr().out
-
-
-@pytest.mark.usefixtures("product")
-def test_builders_of_designs_name_the_extra() -> None:
-    for options in ({"planner": "agent"}, {"agent": "builder-s0"}):
-        with pytest.raises(MissingExtraError, match=r"learn2assemble\[learn\]"):
-            l2a.build(ROOT / "examples" / "designs" / "gate.svg", **options)
 
 
 def test_public_names_of_agents_name_the_extra(tmp_path: Path) -> None:

@@ -10,10 +10,12 @@ from pathlib import Path
 
 import pytest
 
+import learn2assemble as l2a
 from bad_calls import LONG, TASK, BadCall
 from l2a_lab.__main__ import command_line
 from learn2assemble.cli import main
 from learn2assemble.cli.parser import COMMANDS, L2A, LABORATORY
+from learn2assemble.errors import MissingExtraError
 from test_cli import Call, check_help, check_refused, make_agent, make_run, make_stage
 from test_docs import (
     PAGES,
@@ -444,3 +446,58 @@ def test_the_commands_of_the_documents_run(
     set_up_folder(tmp_path, monkeypatch)
     for name, words in GROUPS[pages]:
         check_runs(words, LAB if name == LAB.name else L2A, capsys)
+
+
+# ---------------------------------------------------------------- the builder of designs
+
+
+GATE = str(ROOT / "examples" / "designs" / "gate.svg")
+BUILDER = (["--planner", "agent"], ["--agent", "builder-s0"])
+"""Options of ``l2a build`` that ask for it."""
+
+
+@pytest.mark.parametrize("options", BUILDER)
+def test_a_build_by_it_names_the_extra(
+    options: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    without_extra(monkeypatch, tmp_path)
+    check_extra_is_named(["build", GATE, *options, "--out", "new"], L2A, tmp_path, capsys)
+    with pytest.raises(MissingExtraError, match=r"learn2assemble\[learn\]"):
+        l2a.build(GATE, **{options[0].removeprefix("--"): options[1]})  # pyright: ignore
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--planner", "auto"], "got 'auto', expected one of agent, exact"),
+        (["--planner", "agent", "--agent", "builder-x"], "a builder of designs"),
+    ],
+)
+def test_a_build_by_another_is_refused(
+    options: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = Call(capsys)("build", GATE, *options, "--out", tmp_path / "out")
+    assert result.code == 2
+    (line,) = (line for line in result.err.splitlines() if "error:" in line)
+    assert told in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_builder_is_asked_for_by_its_name() -> None:
+    plan = l2a.build(ROOT / "examples" / "designs" / "pyramid.json", agent="builder-s0")
+    assert (plan.planner, plan.agent) == ("agent", "builder-s0")
+
+
+@pytest.mark.parametrize("design", ["stepped_tower.json", "h.svg"])
+def test_build_with_the_shipped_builder(
+    design: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["build", ROOT / "examples" / "designs" / design, "--planner", "agent", "--json"]
+    result = Call(capsys)(*words, "--out", tmp_path / "out")
+    told = result.json()
+    assert result.code == 0
+    assert (told["planner"], told["agent"]) == ("agent", "builder-s0")
+    assert told["cells_missing"] == told["cells_outside"] == told["props"] == 0
