@@ -403,6 +403,11 @@ BAD = [
         ["export", "{d}", "--format", "bill", "--out", "{d}/special/nowhere"],
         "not a symbolic link",
     ),
+    BadCall(
+        "a task by the exact planner",
+        ["build", TASK, "--planner", "exact", "--out", "{d}/new"],
+        "agent, for the task",
+    ),
     BadCall("build into a link to nowhere", build("--out", "{d}/special/nowhere"), "nowhere"),
     BadCall("resume a run with a link in it", resume("{d}/linked"), "not a symbolic link"),
     BadCall(

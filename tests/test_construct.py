@@ -400,7 +400,6 @@ def test_the_public_face_plans_a_drawing() -> None:
         (["{d}/h.svg", "--friction", "-1"], "coefficient of friction"),
         (["{d}/dome.stl"], "unit"),
         (["{d}/dome.npy", "--unit", "mm"], "no such option for NPY"),
-        (["two-sided-3x3-20-24", "--planner", "exact"], "agent, for the task"),
     ],
 )
 def test_bad_calls_end_in_one_line(

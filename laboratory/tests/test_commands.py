@@ -244,8 +244,8 @@ BAD = [
         "a builder that is misspelt",
         ["measure-builder", "--out", "{d}/new", "--agent", "bilder-s0"],
         "did you mean 'builder-s0'",
-    )
-    * (
+    ),
+    *(
         BadCall(
             f"tasks: {name}",
             ["workbenchmark", "--tasks", f"{{d}}/bricks/{name}.jsonl", "--out", "{d}/new"],
@@ -314,8 +314,8 @@ def test_list_of_bad_calls_covers_every_command() -> None:
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("made")
-    agent, run = make_agent(folder / "agent"), make_run(folder / "run")
+    agent = make_agent(tmp_path_factory.mktemp("agent"))
+    run = make_run(tmp_path_factory.mktemp("run") / "run")
     return make_stage(tmp_path_factory.mktemp("stage"), agent, run)
 
 
