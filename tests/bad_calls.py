@@ -499,19 +499,9 @@ BAD = [
     BadCall("export a design", ["export", "{d}/design.json", "--format", "glb"], "design.json"),
     BadCall("build nothing", ["build", "--out", "{d}/new"], "DESIGN"),
     BadCall("build without --out", ["build", "{d}/design.json"], "--out"),
-    BadCall("missing design", ["build", "{d}/nosuch.json", *build()[2:]], "nosuch.json"),
-    BadCall(
-        "misspelt preset",
-        ["build", "two-sided-3x3-20-25", *build()[2:]],
-        "did you mean 'two-sided-3x3-20-24'",
-    ),
-    BadCall("a folder as design", ["build", "{d}/full", *build()[2:]], "full"),
     BadCall("no name as design", ["build", "", *build()[2:]], "error"),
     BadCall("another file as design", ["build", "{d}/list.json", "--out", "{d}/new"], "list.json"),
     BadCall("a text as design", ["build", "{d}/file.txt", "--out", "{d}/new"], "file.txt"),
-    BadCall(
-        "a path below a file as design", ["build", "{d}/file.txt/a.json", *build()[2:]], "a.json"
-    ),
     # blocks that are given
     *(
         BadCall(f"check blocks: {name}", ["check", f"{{d}}/blocks/{name}.json"], words)
@@ -606,11 +596,6 @@ BAD = [
         "one of cubes",
     ),
     BadCall(
-        "agent of the paper for a design",
-        ["build", "{d}/design.json", *build()[2:]],
-        "a builder of designs",
-    ),
-    BadCall(
         "agent for the exact planner",
         [
             "build",
@@ -690,7 +675,6 @@ BAD = [
     BadCall("folder without agent", build("--agent", "{d}/full"), "no such file"),
     BadCall("damaged agent", build("--agent", "{d}/bad_agent"), "a trained agent"),
     BadCall("half an agent", build("--agent", "{d}/half_agent"), "no description"),
-    BadCall("a long name as design", ["build", LONG, *build()[2:]], "File name too long"),
     BadCall("a long name as agent", build("--agent", LONG), "File name too long"),
     # train
     BadCall("train nothing", ["train", "--out", "{d}/new"], "TASK"),
@@ -967,14 +951,6 @@ BAD = [
             "program": ["replay-trajectory", "{d}/rate_hihg.csv", "--arm", "ur5e"],
             "file or folder of an agent": evaluate("--agent", "{d}/agnet"),
             "file of an agent": evaluate("--agent", "{d}/agent/agnet.safetensors"),
-            "file of a builder": [
-                "build",
-                "{d}/design.json",
-                "--out",
-                "{d}/new",
-                "--agent",
-                "{d}/agent/agnet.safetensors",
-            ],
             "folder of a build": ["export", "{d}/rnu", "--format", "csv"],
             "folder of a training run": resume("{d}/rnu"),
             "layout file": exact_arm("--layout", "{d}/layuot.json"),
@@ -982,6 +958,5 @@ BAD = [
         }.items()
     ),
     BadCall("a misspelt folder that was meant", resume("{d}/rnu"), "/run'?"),
-    BadCall("a design without its ending", ["build", "{d}/design", *build()[2:]], "/design.json'?"),
     BadCall("a link to nowhere", ["check", "{d}/special/nowhere"], "a link to nowhere"),
 ]

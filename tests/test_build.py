@@ -208,11 +208,6 @@ def test_what_a_task_does_not_take_is_refused(arguments: dict, words: str) -> No
         l2a.build(TASK, **arguments)
 
 
-def test_an_agent_of_the_paper_does_not_build_drawings() -> None:
-    with pytest.raises(InputError, match=r"relational-cubes-s0.*a builder of designs"):
-        l2a.build("examples/designs/pyramid.json", agent="relational-cubes-s0")
-
-
 Array = np.ndarray | None
 PANDA = get_arm("panda")
 ARM_TASK = get_task("robot-two-sided-5x5-14-18")

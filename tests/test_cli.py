@@ -281,15 +281,6 @@ def test_missing_extras_are_named_together(
         assert not (tmp_path / "out").exists()
 
 
-def test_replay(l2a: Call, data: Path) -> None:
-    result = l2a("replay", data / "transitions_sample.jsonl", "--json")
-    assert result.code == 0
-    (file,) = result.json()["files"]
-    assert file["mask_exact"] == 1.0
-    assert file["lines"] > 0
-    assert result.err.startswith("l2a: replaying transitions_sample.jsonl\n")
-
-
 SEARCH = ["--search", "mcts", "--budget", "2", "--rollout", "end"]
 
 
@@ -301,27 +292,6 @@ def test_a_name_stands_for_its_search_and_arguments_take_the_place_of_its_own() 
     assert search_config("mcts") == SEARCHES["dqn-mcts"]
     given = search_config("uct", budget=7, rollout=2, distinct=None)
     assert given == dataclasses.replace(SEARCHES["uct"], budget=7, rollout=2)
-
-
-def test_eval_with_the_restore_faults(l2a: Call, agent: Path) -> None:
-    result = l2a(
-        "eval",
-        TASK,
-        "--agent",
-        agent,
-        "--episodes",
-        "2",
-        "--search",
-        "eps-mcts",
-        "--budget",
-        "3",
-        "--legacy",
-        "--json",
-    )
-    assert result.code == 0
-    summary = result.json()
-    assert summary["search"] == "eps-mcts"
-    assert summary["legacy"] is True
 
 
 @pytest.mark.parametrize("search", [[], SEARCH, [*SEARCH, "--distinct"]], ids=len)

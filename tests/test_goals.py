@@ -371,12 +371,6 @@ def test_refused_goals_end_in_exit_code_1_and_a_page_that_opens(
     assert "{{" not in page
 
 
-def test_the_builder_of_designs_builds_no_goals() -> None:
-    for given in ({"planner": "agent"}, {"agent": "builder-s0"}):
-        with pytest.raises(InputError, match="expected exact, for goals"):
-            l2a.build(EXAMPLE, **given)
-
-
 def test_goals_for_which_nothing_is_found_end_in_exit_code_1(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

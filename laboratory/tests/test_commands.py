@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 import learn2assemble as l2a
-from bad_calls import LONG, TASK, BadCall
+from bad_calls import LONG, TASK, BadCall, build
 from l2a_lab.__main__ import command_line
 from learn2assemble.cli import main
 from learn2assemble.cli.parser import COMMANDS, L2A, LABORATORY
-from learn2assemble.errors import MissingExtraError
+from learn2assemble.errors import InputError, MissingExtraError
 from test_cli import Call, check_help, check_refused, make_agent, make_run, make_stage
 from test_docs import (
     PAGES,
@@ -279,6 +279,33 @@ BAD = [
 ]
 
 
+BAD_BUILDS = [
+    BadCall("missing design", ["build", "{d}/nosuch.json", *build()[2:]], "nosuch.json"),
+    BadCall(
+        "misspelt preset",
+        ["build", "two-sided-3x3-20-25", *build()[2:]],
+        "did you mean 'two-sided-3x3-20-24'",
+    ),
+    BadCall("a folder as design", ["build", "{d}/full", *build()[2:]], "full"),
+    BadCall(
+        "a path below a file as design", ["build", "{d}/file.txt/a.json", *build()[2:]], "a.json"
+    ),
+    BadCall(
+        "agent of the paper for a design",
+        ["build", "{d}/design.json", *build()[2:]],
+        "a builder of designs",
+    ),
+    BadCall("a long name as design", ["build", LONG, *build()[2:]], "File name too long"),
+    BadCall("a design without its ending", ["build", "{d}/design", *build()[2:]], "/design.json'?"),
+    BadCall(
+        "a misspelt file of a builder",
+        ["build", "{d}/design.json", "--out", "{d}/new", "--agent", "{d}/agent/agnet.safetensors"],
+        "no such file', expected a file of a builder",
+    ),
+]
+"""Calls of ``l2a build`` with an agent that is none, which the builder of designs refuses."""
+
+
 @pytest.fixture
 def lab(capsys: pytest.CaptureFixture[str]) -> Call:
     return Call(capsys, LAB)
@@ -322,6 +349,11 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("call", [pytest.param(call, id=call.name) for call in BAD])
 def test_bad_call(call: BadCall, lab: Call, stage: Path) -> None:
     check_refused(call, lab, stage)
+
+
+@pytest.mark.parametrize("call", [pytest.param(call, id=call.name) for call in BAD_BUILDS])
+def test_bad_build(call: BadCall, stage: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    check_refused(call, Call(capsys), stage)
 
 
 # ---------------------------------------------------------------- without the extra
@@ -501,3 +533,44 @@ def test_build_with_the_shipped_builder(
     assert result.code == 0
     assert (told["planner"], told["agent"]) == ("agent", "builder-s0")
     assert told["cells_missing"] == told["cells_outside"] == told["props"] == 0
+
+
+def test_replay(lab: Call, data: Path) -> None:
+    result = lab("replay", data / "transitions_sample.jsonl", "--json")
+    assert result.code == 0
+    (file,) = result.json()["files"]
+    assert file["mask_exact"] == 1.0
+    assert file["lines"] > 0
+    assert result.err.startswith("l2a: replaying transitions_sample.jsonl\n")
+
+
+def test_eval_with_the_restore_faults(stage: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result = Call(capsys)(
+        "eval",
+        TASK,
+        "--agent",
+        stage / "agent",
+        "--episodes",
+        "2",
+        "--search",
+        "eps-mcts",
+        "--budget",
+        "3",
+        "--legacy",
+        "--json",
+    )
+    assert result.code == 0
+    summary = result.json()
+    assert summary["search"] == "eps-mcts"
+    assert summary["legacy"] is True
+
+
+def test_an_agent_of_the_paper_does_not_build_drawings() -> None:
+    with pytest.raises(InputError, match=r"relational-cubes-s0.*a builder of designs"):
+        l2a.build(ROOT / "examples/designs/pyramid.json", agent="relational-cubes-s0")
+
+
+def test_the_builder_of_designs_builds_no_goals() -> None:
+    for given in ({"planner": "agent"}, {"agent": "builder-s0"}):
+        with pytest.raises(InputError, match="expected exact, for goals"):
+            l2a.build(ROOT / "examples" / "goals" / "over_the_water.json", **given)
