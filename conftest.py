@@ -50,7 +50,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Of one part that is asked for alone no file of another one is loaded: the product is tested
     without PyTorch and without the laboratory (``pytest -m product``)."""
-    asked = config.getoption("markexpr").split(" and ")
+    asked = (config.getoption("markexpr") or "").split(" and ")
     if collection_path.suffix != ".py" or len({*asked} & {*PARTS}) != 1 or " or " in str(asked):
         return None
     return part_of(collection_path) not in asked or None

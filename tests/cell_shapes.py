@@ -25,7 +25,8 @@ def read_shapes() -> dict[str, np.ndarray]:
     with gzip.open(Path(__file__).parent / "data" / "shapes.jsonl.gz", "rt") as lines:
         for line in map(json.loads, lines):
             levels = [[[cell == "#" for cell in row] for row in level] for level in line["levels"]]
-            shapes[line["name"]] = np.stack(np.array(levels), -1)
+            cells = np.moveaxis(np.array(levels), 0, -1)
+            shapes[line["name"]] = np.ascontiguousarray(cells)
     return shapes
 
 

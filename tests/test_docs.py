@@ -11,9 +11,8 @@ import shlex
 import shutil
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 
 import markdown
 import numpy as np
@@ -261,40 +260,6 @@ def hook(name: str) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-def test_every_page_has_its_picture() -> None:
-    """Every page of the site begins with one, below its title; the hook knows what it names."""
-    drawings, gallery = hook("drawings"), hook("gallery")
-    site = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").split("\nnav:\n")[1]
-    pages = re.findall(r"[\w/]+\.md", site)
-    assert len(pages) == len(set(pages)) > 25
-    assert set(pages) - {"index.md"} == set(drawings.PAGES)
-    built = tomllib.loads((ROOT / "docs" / "gallery.toml").read_text(encoding="utf-8"))["build"]
-    known = set(drawings.DRAWINGS) | {f"gallery/{one['name']}" for one in built}
-    assert {name for name, _ in drawings.PAGES.values()} <= known
-    for name in ("proof", "tables", "sides"):
-        assert drawings.svg(name).startswith(b"<?xml"), name
-    facts = {one.name: {"blocks": 1, "seconds": 1.0, "arm": ""} for one in gallery.entries()}
-    tables, curves = hook("tables"), hook("curves")
-    made = {"gallery.md": gallery.page(facts), "tables.md": tables.HEAD + "# Tables\n\nText.\n"}
-    made["curves.md"] = curves.page()
-    for name in re.findall(r"\(curves/([\w-]+)\.png\)", made["curves.md"]):
-        assert curves.picture(name).startswith(b"\x89PNG"), name
-    for name in pages:
-        text = made.get(name) or (ROOT / "docs" / name).read_text(encoding="utf-8")
-        page = SimpleNamespace(file=SimpleNamespace(src_uri=name))
-        shown = drawings.on_page_markdown(text, page, None, None)
-        _, below = re.split(r"^# .*\n", shown, maxsplit=1, flags=re.M)
-        first = re.match(r"\n!\[([^\]]+)\]\((?:\.\./)*([^)]+)\)", below)
-        assert first is not None, name
-        if not first[2].startswith("images/"):
-            assert re.sub(r"^drawings/|\.\w+$", "", first[2]) in known, name
-        assert shown.count("![") == text.count("![") + (name != "index.md"), name
-    page = SimpleNamespace(file=SimpleNamespace(src_uri="methods/dqn.md"))
-    shown = drawings.on_page_markdown("# Title\n\nText.\n", page, None, None)
-    assert shown.startswith("# Title\n\n![Returns of five agents")
-    assert "](../drawings/learning.svg)" in shown
 
 
 MOST_WORDS = 90
