@@ -22,7 +22,7 @@ from learn2assemble.tasks.networks.agent_file import bare_weights
 TASK = "one-sided-3x3-22-24"
 LONG = "x" * 300
 """Longer than a file name may be."""
-WALL = str(Path(__file__).parent / "data" / "ascii_wall.json")
+WALL = str(Path(__file__).parent / "data" / "example_plan" / "assembly.json")
 """An assembly that can be checked."""
 PROGRAM_RATES = {
     "no_limits": "1000",

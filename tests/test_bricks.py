@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import brick_data
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.bricks.files import brick_format
 from learn2assemble.assembly.bricks.parts import COLOURS, PARTS, SIZES
 from learn2assemble.assembly.files import read_assembly, write_assembly
@@ -19,6 +21,7 @@ from learn2assemble.design.read import read_design
 from learn2assemble.errors import InputError
 from learn2assemble.export.formats import export_assembly
 
+WALL = Path(__file__).parent / "data" / "example_plan" / "assembly.json"
 TEXT = "2x4 (0,0,0)\n4x2 (0,2,1)\n\n1x1 (3, 3, 2)\n"
 MPD = """0 FILE main.ldr
 0 Tower
@@ -163,7 +166,7 @@ def test_our_own_files_keep_the_laws_of_joints(tmp_path: Path) -> None:
 
 
 def test_a_kit_says_how_dry_blocks_hold() -> None:
-    wall = Path(__file__).parent / "data" / "ascii_wall.json"
+    wall = WALL
     assert read_assembly(wall).joint == DRY
     assert read_assembly(wall, kit="bricks").joint == DRY
     assert read_assembly(wall, kit="duplo").joint.law == "clutch"
@@ -296,6 +299,8 @@ def test_a_kit_has_masses() -> None:
 
 
 def test_blocks_that_are_no_bricks_are_not_written_as_ldraw(tmp_path: Path) -> None:
+    block = box_block("a", (0.0, 0.0, 0.0), (0.1, 0.05, 0.05))
+    write_assembly(Assembly((block,)), tmp_path / "wall.json")
     with pytest.raises(InputError, match="the size of a brick"):
-        export_assembly(Path(__file__).parent / "data" / "ascii_wall.json", "ldraw", tmp_path)
-    assert not (tmp_path / "model.ldr").exists()
+        export_assembly(tmp_path / "wall.json", "ldraw", tmp_path / "out")
+    assert not (tmp_path / "out" / "model.ldr").exists()

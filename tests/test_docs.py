@@ -309,7 +309,7 @@ def test_conditions_of_a_table_are_tabs_on_the_site() -> None:
         for state, value in ((" open", 0.05), ("", 0))
     )
     alone = f"# Tables\n\n### T1\n\n{opened}Between.\n\n### T2\n\n{closed}Behind.\n"
-    tabs = hook("tables").tabs
+    tabs = hook("result_pages").tabs
     assert tabs(alone) == alone
     inner = "\n".join(f"    {line}" for line in table.splitlines())
     shown = f'===+ "ε = 0.05"\n\n{inner}\n\n=== "ε = 0"\n\n{inner}\n\n'

@@ -46,7 +46,7 @@ from learn2assemble.files import (
 )
 from learn2assemble.values import Range, from_plain, to_plain
 
-WALL = str(Path(__file__).parent / "data" / "ascii_wall.json")
+WALL = str(Path(__file__).parent / "data" / "example_plan" / "assembly.json")
 """An assembly that can be checked."""
 JSON = st.recursive(
     st.none()

@@ -421,8 +421,8 @@ def test_mirror_images_that_stand_are_two_shapes_in_the_order_of_the_blocks() ->
 
 
 def test_the_ways_to_make_blocks_are_as_documented() -> None:
-    """``docs/design_files.md`` gives the arguments in the order of the functions."""
-    text = (Path(__file__).resolve().parents[1] / "docs" / "design_files.md").read_text("utf-8")
+    """``docs/given_blocks.md`` gives the arguments in the order of the functions."""
+    text = (Path(__file__).resolve().parents[1] / "docs" / "given_blocks.md").read_text("utf-8")
     told = dict(re.findall(r"^\| `l2a\.(\w+)\(([\w, ]+), \*\*more\)` \|", text, re.MULTILINE))
     assert set(told) == {"box_block", "hull_block", "Block"}
     for name, words in told.items():

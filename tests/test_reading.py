@@ -275,7 +275,7 @@ def test_a_preview_shows_what_was_drawn_over_the_cells(
     made = l2a.preview("examples/designs/gate.svg", path, overwrite=True)
     assert isinstance(made, CellDesign)
     with pytest.raises(InputError, match="a picture of them"):
-        l2a.preview("tests/data/ascii_wall.json", path, overwrite=True)
+        l2a.preview("tests/data/example_plan/assembly.json", path, overwrite=True)
 
 
 @pytest.mark.parametrize(

@@ -599,11 +599,11 @@ def test_every_page_has_its_picture() -> None:
     for name in ("proof", "tables", "sides"):
         assert drawings.svg(name).startswith(b"<?xml"), name
     facts = {one.name: {"blocks": 1, "seconds": 1.0, "arm": ""} for one in gallery.entries()}
-    tables, curves = hook("tables"), hook("curves")
-    made = {"gallery.md": gallery.page(facts), "tables.md": tables.HEAD + "# Tables\n\nText.\n"}
-    made["curves.md"] = curves.page()
+    results = hook("result_pages")
+    made = {"gallery.md": gallery.page(facts), "tables.md": results.HEAD + "# Tables\n\nText.\n"}
+    made["curves.md"] = results.curves_page()
     for name in re.findall(r"\(curves/([\w-]+)\.png\)", made["curves.md"]):
-        assert curves.picture(name).startswith(b"\x89PNG"), name
+        assert results.curves_picture(name).startswith(b"\x89PNG"), name
     for name in pages:
         text = made.get(name) or (ROOT / "docs" / name).read_text(encoding="utf-8")
         page = SimpleNamespace(file=SimpleNamespace(src_uri=name))

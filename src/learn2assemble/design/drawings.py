@@ -98,7 +98,7 @@ class _Elevations:
 
 
 def read_elevations(document: Any, source: str) -> Drawing:
-    """The elevation JSON of ``docs/designs.md``; its two format keys may be missing."""
+    """The elevation JSON of ``docs/design_files.md``; its two format keys may be missing."""
     given = mapping(document, source)
     if "elevations" not in given and not any(closest(key, ["elevations"]) for key in given):
         raise InputError(source, sorted(given) or "no keys", "the key 'elevations'")

@@ -1,10 +1,11 @@
-"""The page *Tables* and its figures are results, not documents: this hook of mkdocs adds them to
-the site."""
+"""The pages *Tables* and *Learning curves* are results, not documents: this hook of mkdocs adds
+them and their figures to the site."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
@@ -20,6 +21,15 @@ hide: [navigation]
 """
 MARKS = {"🟢": ("better", "▲"), "🟡": ("level", "="), "🔴": ("worse", "▼")}
 """Colours that a forge shows as they are; not every browser has letters for them."""
+
+CURVES = """# Learning curves
+
+Returns of the latest 300 training episodes, exploration included: the mean over agents and the
+range from the lowest to the highest, smoothed. The paper shows such curves of architectures,
+connectivity and algorithms (appendix figures 3 and 5), and none with a robot. The tables say when
+agents first came to the paper's returns, as medians over agents; one that never did counts as
+never.
+"""
 
 CONDITION = re.compile(
     r'^<details markdown="1"(?P<open> open)?><summary>(?P<label>[^\n]*)</summary>\n'
@@ -59,9 +69,36 @@ def _tab(one: re.Match[str]) -> str:
     return f'==={"+" if one["open"] else ""} "{one["label"]}"\n\n{shown}\n\n'
 
 
+def curves_page() -> str:
+    """The page of learning curves, whose pictures are ``curves/NAME.png``."""
+    from l2a_lab.curves import FIGURES, costs_told
+
+    told = [CURVES]
+    for figure in FIGURES.values():
+        table = "\n".join(costs_told([figure], RESULTS / "runs.jsonl.gz"))
+        note = f"{figure.note}\n\n" if figure.note else ""
+        picture = f"![{figure.title}](curves/{figure.name}.png)"
+        told.append(f"## {figure.title}\n\n{picture}\n\n{note}{table}\n")
+    return "\n".join(told)
+
+
+def curves_picture(name: str) -> bytes:
+    """The PNG of a figure of learning curves."""
+    from l2a_lab.curves import FIGURES, load_curves
+    from l2a_lab.drawing import write_curves
+
+    figure, runs = FIGURES[name], RESULTS / "runs.jsonl.gz"
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "curves.png"
+        write_curves(figure.title, load_curves(figure, runs), "", path)
+        return path.read_bytes()
+
+
 def on_files(files: Any, config: Any) -> Any:
-    """Hook of mkdocs: ``tables.md``, whose links lead to documents, and ``tables.csv``."""
+    """Hook of mkdocs: ``tables.md``, whose links lead to documents, its CSV, and ``curves.md``."""
     from mkdocs.structure.files import File
+
+    from l2a_lab.curves import FIGURES
 
     text = (RESULTS / "tables.md").read_text(encoding="utf-8").replace("](../docs/", "](")
     for colour, (name, mark) in MARKS.items():
@@ -69,4 +106,8 @@ def on_files(files: Any, config: Any) -> Any:
     files.append(File.generated(config, "tables.md", content=HEAD + tabs(text)))
     figures = (RESULTS / "tables.csv").read_text(encoding="utf-8")
     files.append(File.generated(config, "tables.csv", content=figures))
+    files.append(File.generated(config, "curves.md", content=curves_page()))
+    for name in FIGURES:
+        path = f"curves/{name}.png"
+        files.append(File.generated(config, path, content=curves_picture(name)))
     return files
