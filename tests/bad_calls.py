@@ -577,6 +577,11 @@ BAD = [
     BadCall("build into a file", build("--out", "{d}/file.txt"), "a new or empty folder"),
     BadCall("build below a file", build("--out", "{d}/file.txt/new"), "a place that can be"),
     BadCall("build into a long name", build("--out", "{d}/" + LONG), "out"),
+    BadCall(
+        "joints that an arm does not lay",
+        ["build", "{d}/design.json", "--out", "{d}/new", "--arm", "panda", "--gap", "1mm"],
+        "none with an arm, which lays joints of 0.0001 m",
+    ),
     BadCall("build for no time", build("--seconds", "0"), "a number from 0.001"),
     BadCall("build for negative time", build("--seconds", "-5"), "a number from 0.001"),
     BadCall("build for nan seconds", build("--seconds", "nan"), "a number from 0.001"),

@@ -24,6 +24,7 @@ from learn2assemble.design.read import read_design
 from learn2assemble.errors import InputError
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import BlamedCells, Plan
+from learn2assemble.planning.tiling.advice import _trials
 from learn2assemble.planning.tiling.candidates import placement_cells
 from learn2assemble.planning.tiling.construct import plan_cells, report_plan
 from learn2assemble.planning.tiling.ordering import order, to_assembly
@@ -270,7 +271,9 @@ def test_tight_joints_are_used_where_no_gap_is_asked_for_and_said() -> None:
     assert not plan_cells(design, "bricks", gap=0.0, friction=(0.0, 0.6)).complete
     open_ = plan_cells(design, "bricks")
     assert open_.status == "refused"
-    assert "with tight joints (gap 0) it stands" in (open_.reason or "")
+    told = [text for text, *_ in _trials(tile(wanted, load_kit("bricks")), load_kit("bricks"), {})]
+    assert "with tight joints (gap 0) it stands" in told
+    assert "with a block of 6 x 1 x 1 cells in the kit it stands" in (open_.reason or "")
 
 
 def test_props_come_before_tight_joints() -> None:

@@ -202,7 +202,8 @@ def _tool(program: Program, arm: Arm, settings: ProgramSettings) -> list[str]:
     kind = "digital" if held.threshold is None else f"analog (threshold {held.threshold:g} V)"
     return [
         f"{program.tool}: {1000 * driver.tool_mass:.0f} g, its tool point in the flange at "
-        f"{_named(driver.tcp[:3])}",
+        f"{_named(driver.tcp[:3])},",
+        f"  turned against the flange by RPY {_turned(driver.tcp[3:])}",
         f"{does} while {output.bank} digital output {output.number} is {level}; that something is "
         "held says",
         f"  {held.bank} {kind} input {held.number}. Try both before the first run.",
@@ -228,7 +229,8 @@ def size_words(place: PickPlace) -> str:
 def _places(program: Program, arm: Arm, settings: ProgramSettings, refill: str) -> list[str]:
     lines = [
         "x, y, z: middle of the block as it lies; turn: of its long side, from x about z.",
-        "A block stands wrong by as much as it lay wrong: lay blocks to 1 mm, against a stop.",
+        "A block stands wrong by as much as it lay wrong: lay blocks against a stop, closer to",
+        "  their places than joints are wide, as l2a build says (joint_gap of the kit).",
     ]
     seen = in_base(program, arm, settings.base_frame)
     for place, base in zip(program.places, seen, strict=True):
@@ -313,7 +315,7 @@ def _speed(program: Program, settings: ProgramSettings) -> list[str]:
         f"{program.seconds / factor:.0f} s in all, without waiting.",
         f"The fastest joint turns by {factor * fastest:.0f} a second, as planned by {fastest:.0f}.",
         "When a whole run was watched, raise it, up to 1: below, as speed of the export, or as",
-        "  speed_factor of the layout file.",
+        "  speed_factor of a layout file (docs/layouts.md).",
     ]
 
 

@@ -39,6 +39,7 @@ from learn2assemble.jobs.kinds import (
     bricks_plan,
     cells_plan,
     check_asked,
+    check_laid,
     goals_plan,
     has_studs,
     kit_of,
@@ -104,7 +105,8 @@ def build(
         kit: for designs of cells, a kit, its name or its file; by default the one the design
             names, else ``bricks-lintels``.
         friction: coefficient, or the range to prove every step for; by default the kit's.
-        gap: width of vertical joints [m], or the range to prove every step for.
+        gap: width of vertical joints [m], or the range to prove every step for; with an arm,
+            none but what it lays.
         supports: what may carry blocks until they carry themselves: ``"auto"``; ``"none"``;
             ``"props"``, blocks of the kit, for designs of cells and goals; ``"posts"``, cut to
             the blocks they carry, for assemblies.
@@ -222,7 +224,9 @@ def build(
     if plates and not isinstance(found, CellDesign):
         raise InputError("plates", True, "a design of cells: these blocks are given, or goals")
     check_asked(found, kit, help_, choice.name)
-    how = None if how is None else how.read(found, kit)
+    if how is not None:
+        check_laid(found, kit, gap)
+        how = how.read(found, kit)
     if how is not None and how.several:
         return _with_friction(team_plan(found, kit, how, help_, choice, given), friction)
     workcell = None if how is None else how.workcell(has_studs(found, kit))

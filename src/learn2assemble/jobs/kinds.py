@@ -161,6 +161,21 @@ def check_asked(
         )
 
 
+def check_laid(
+    design: Assembly | CellDesign | Goals,
+    kit: Kit | None,
+    gap: float | tuple[float, float] | None,
+) -> None:
+    """Refuse to prove an arm's build for other vertical joints [m] than those it lays."""
+    if isinstance(design, Assembly):
+        laid, source = 0.0, "as blocks are given"
+    else:
+        blocks = design.kit if isinstance(design, Goals) else kit_of(design, kit)
+        laid, source = blocks.joint_gap, "the joint_gap of its kit"
+    if gap is not None and set(np.ravel(gap).tolist()) != {laid}:
+        raise InputError("gap", gap, f"none with an arm, which lays joints of {laid:g} m, {source}")
+
+
 def goals_plan(
     goals: Goals, workcell: Workcell | None, planner: PlannerChoice, given: dict[str, Any]
 ) -> Plan:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from learn2assemble.assembly.kit import Kit, kit_names, load_kit
+from learn2assemble.assembly.kit import Cell, Kind, Kit, kit_names, load_kit
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.planning.tiling.ordering import Ordering
@@ -19,9 +19,11 @@ from learn2assemble.planning.tiling.tile import MAX_EXTENT, Tiling
 MAX_CELLS = 3000
 """Of a design for which something else is tried; more take minutes."""
 NO_ADVICE = (
-    "none of what was tried helps: other kits, tight joints, filled overhangs, a flat base, other "
-    "cells"
+    "none of what was tried helps: a longer block, other kits, tight joints, filled overhangs, a "
+    "flat base, other cells"
 )
+LONGEST = 12
+"""Of a block that the kit has not and that is tried [cells]."""
 MOST_CUT = 3
 """Levels that are left out at most for a flat base."""
 _SHARE, _MOST = 0.5, 10.0
@@ -37,9 +39,10 @@ def advise(
 ) -> str:
     """What makes a plan of this design complete, in one clause; empty where nothing tried does.
 
-    Tried in this order: more blocks of a heap, for props; joints of width 0, the kits of the
-    package, filling what is under an overhang, filling everything down to the table, leaving out
-    the lowest levels so that the base is flat, cells half as large, cells twice as large.
+    Tried in this order: more blocks of a heap, for props; a longer block; joints of width 0, the
+    kits of the package, filling what is under an overhang, filling everything down to the table,
+    leaving out the lowest levels so that the base is flat, cells half as large, cells twice as
+    large.
 
     Args:
         tiling: that was refused or not found, with the cells that lack support.
@@ -106,6 +109,11 @@ def _trials(tiling: Tiling, kit: Kit, options: dict[str, Any]) -> Iterator[_Tria
             for kind in kit.kinds
         )
         yield f"with {more} more, for props, it stands", wanted, replace(kit, kinds=kinds), {}
+    for length in _bridging(wanted, tiling.lacking):
+        cells = tuple((x, 0, 0) for x in range(length))
+        if all(kind.cells != cells for kind in kit.kinds):
+            longer = replace(kit, kinds=(*kit.kinds, Kind(f"1x{length}, added", cells)))
+            yield f"with a block of {length} x 1 x 1 cells in the kit it stands", wanted, longer, {}
     if np.max(width) > 0:
         yield "with tight joints (gap 0) it stands", wanted, kit, {"gap": 0.0}
     for name in kit_names():
@@ -146,6 +154,34 @@ def _trials(tiling: Tiling, kit: Kit, options: dict[str, Any]) -> Iterator[_Tria
     if coarser[:, :, 0].any() and min(wanted.shape[0], wanted.shape[2]) > 1:
         twice = replace(kit, pitch=tuple(2 * p for p in kit.pitch))
         yield "with cells twice as large it stands", coarser, twice, {}
+
+
+def _bridging(wanted: np.ndarray, lacking: Collection[Cell]) -> list[int]:
+    """Lengths of blocks that reach over cells which nothing below carries, the shortest first: with
+    an end on either side, or a longer half on one, or over all of a row."""
+    lengths = set[int]()
+    for x, y, z in lacking:
+        if z == 0:
+            continue
+        here, under = wanted[:, :, z], wanted[:, :, z - 1]
+        for row, below, at in ((here[:, y], under[:, y], x), (here[x], under[x], y)):
+            first, last = _run(row, at)
+            low, high = _run(row & ~below, at)
+            ends = (low > first) + (high < last)
+            open_ = high - low + 1
+            if ends:
+                lengths |= {open_ + 2 if ends == 2 else 2 * open_ + 1, last - first + 1}
+    return sorted(length for length in lengths if 1 < length <= LONGEST)
+
+
+def _run(row: np.ndarray, at: int) -> tuple[int, int]:
+    """First and last index of the True ones of bool[n] that hang together with one of them."""
+    low = high = at
+    while low > 0 and row[low - 1]:
+        low -= 1
+    while high + 1 < len(row) and row[high + 1]:
+        high += 1
+    return low, high
 
 
 def _lacking_for_props(tiling: Tiling, kit: Kit) -> dict[str, int]:

@@ -269,9 +269,15 @@ def _falls(
     Args:
         any_way: whether it does with any friction.
     """
-    if not len(cells):
-        cells = np.concatenate([placement_cells(tiling.placements[b], kit) for b in blocks])
-    reason = f"{describe_lack(kit, tiling.wanted, cells)}; the finished building would fall"
+    if len(cells):
+        words = describe_lack(kit, tiling.wanted, cells)
+    else:
+        cells = open_below(
+            tiling.wanted, [placement_cells(tiling.placements[b], kit) for b in blocks]
+        )
+        words = f"nothing below carries {describe_cells(tiling.wanted, cells)[0]}, and with every "
+        words += f"choice of blocks of kit `{kit.name}` some fall there"
+    reason = f"{words}; the finished building would fall"
     if not any_way:
         reason += " without friction"
     return replace(tiling, status="refused", reason=reason, lacking=to_cells(cells))
