@@ -198,7 +198,7 @@ def test_environments_pass_the_checker_and_are_solved_by_the_search(name: str) -
     total, ended = 0.0, False
     for block in found.placements:
         assert not ended
-        action = list(env._offered).index(env.problem.site.candidate(block))
+        action = list(env._offered).index(env.problem.site.candidates([block])[0])
         assert observation["mask"][action]
         observation, reward, ended, _, info = env.step(action)
         assert info["stood"]

@@ -384,5 +384,26 @@ def parts_of(mask: np.ndarray) -> list[np.ndarray]:
     from scipy import ndimage  # pyright: ignore[reportMissingTypeStubs]
 
     library: Any = ndimage
-    labels, count = library.label(mask)
+    labels, count = library.label(mask, _touching(mask.ndim))
     return [labels == number for number in range(1, count + 1)]
+
+
+def boxed_parts_of(
+    mask: np.ndarray, whole: bool = False
+) -> list[tuple[tuple[slice, ...], np.ndarray]]:
+    """The same parts, or all as one, each as the cells it spans and which of these are in it."""
+    from scipy import ndimage  # pyright: ignore[reportMissingTypeStubs]
+
+    library: Any = ndimage
+    labels = mask.astype(np.int64) if whole else library.label(mask, _touching(mask.ndim))[0]
+    boxes: list[tuple[slice, ...]] = library.find_objects(labels)
+    return [(box, labels[box] == number) for number, box in enumerate(boxes, 1)]
+
+
+@cache
+def _touching(axes: int) -> np.ndarray:
+    """bool[3, 3, ...]: a cell and those it has a face in common with."""
+    from scipy import ndimage  # pyright: ignore[reportMissingTypeStubs]
+
+    library: Any = ndimage
+    return library.generate_binary_structure(axes, 1)

@@ -110,7 +110,8 @@ def _plan_design(env: DesignEnv) -> list[int]:
     )
     if ordering is None or ordering.status != "complete":
         return []
-    return [site.candidate(made.placements[step.block]) for step in ordering.steps]
+    placements = [made.placements[step.block] for step in ordering.steps]
+    return site.candidates(placements).tolist()
 
 
 def _plan_goals(env: GoalsEnv) -> list[int]:
@@ -119,4 +120,4 @@ def _plan_goals(env: GoalsEnv) -> list[int]:
     found = search(env.problem, seconds=SEARCHING)
     most = found.blocks - 1 if found.blocks else MOST
     fewer = plan_program(env.problem, seconds=PROGRAM, most=most)
-    return [env.problem.site.candidate(one) for one in fewer.placements or found.placements]
+    return env.problem.site.candidates(fewer.placements or found.placements).tolist()

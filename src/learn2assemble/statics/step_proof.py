@@ -414,3 +414,25 @@ def _order(rank: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     turn = np.full(len(rank), -1)
     turn[order] = np.arange(len(order))
     return order, turn
+
+
+@kernel
+def load_at_rest(
+    weight: np.ndarray,
+    centre: np.ndarray,
+    point: np.ndarray,
+    upper: np.ndarray,
+    lower: np.ndarray,
+    share: np.ndarray,
+    start: np.ndarray,
+    rank: np.ndarray,
+    unit: float,
+) -> StackLoad:
+    """The load of a :class:`Stack` with these arrays and no acceleration, within a kernel."""
+    px, py = _sheared(point, 0.0, 0.0)
+    cx, cy = _sheared(centre, 0.0, 0.0)
+    above, above_start = _above(lower, len(weight))
+    order, turn = _order(rank)
+    return StackLoad(
+        px, py, cx, cy, weight, share, start, upper, lower, above, above_start, order, turn, unit
+    )

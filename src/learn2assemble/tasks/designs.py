@@ -15,7 +15,6 @@ import numpy as np
 
 from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.planning.tiling.props import unsupported
 from learn2assemble.planning.tiling.tile import MAX_EXTENT, tile
 from learn2assemble.planning.tiling.world import LatticeSite, LatticeWorld, make_site
 from learn2assemble.tasks.task import DesignTask
@@ -365,39 +364,35 @@ def solve(wanted: Cells, kit: Kit, seconds: float = 60.0) -> tuple[LatticeSite, 
     if len(world.stranded()):
         return None
     tiling = tile(wanted, kit, seconds=seconds)
-    if tiling.status != "complete" or unsupported(tiling, kit):
+    blocks = site.candidates(tiling.placements)
+    if tiling.status != "complete" or (blocks < 0).any():
         return None
-    order = put_in_order(world, [site.candidate(p) for p in tiling.placements])
+    order = put_in_order(world, blocks.tolist())
     return None if order is None else (site, order)
 
 
-def put_in_order(
-    world: LatticeWorld, candidates: list[int], rng: np.random.Generator | None = None
-) -> list[int] | None:
+def put_in_order(world: LatticeWorld, candidates: list[int]) -> list[int] | None:
     """An order in which candidates can be placed, every state proven; None where none is found.
+
+    Each comes as soon as what is below it is there and the local proof holds; where that holds for
+    none of them, the first for which the linear program does.
 
     Args:
         world: is changed.
-        rng: for a random order instead of from below.
     """
-    left, order = list(candidates), list[int]()
-    if rng is not None:
-        mixed: list[int] = rng.permutation(len(left)).tolist()
-        left = [left[k] for k in mixed]
-    progress = True
-    while left and progress:
-        progress = False
-        for program in (False, True):
-            for candidate in list(left):
-                if world.waits[candidate] == 0 and world.place(candidate, program):
-                    left.remove(candidate)
-                    order.append(candidate)
-                    progress = True
-                    if program or rng is not None:
-                        break
-            if progress:
+    order = world.lay(candidates)
+    while len(order) < len(candidates):
+        there = set(order)
+        left = [candidate for candidate in candidates if candidate not in there]
+        for candidate in left:
+            if world.waits[candidate] == 0 and world.place(candidate, program=True):
+                order.append(candidate)
+                left.remove(candidate)
                 break
-    return None if left else order
+        else:
+            return None
+        order += world.lay(left)
+    return order
 
 
 def with_exact_heap(solved: Solved) -> Solved:
@@ -423,6 +418,10 @@ def make_design(task: DesignTask, rng: np.random.Generator, tries: int = 100) ->
     kit = load_kit(task.kit)
     carried = max(len(kind.cells) for kind in kit.kinds) == 1
     low, high = task.blocks
+
+    def fits(blocks: int, goal: float) -> bool:
+        return low <= blocks <= high and 0.7 < blocks / goal < 1.4
+
     for _ in range(tries):
         family, goal = str(rng.choice(families)), float(rng.uniform(low, high))
         size = (goal * (1.3 if carried else 5.0)) ** 0.5
@@ -434,14 +433,18 @@ def make_design(task: DesignTask, rng: np.random.Generator, tries: int = 100) ->
             if not max(low, goal) / 1.6 <= cells <= 12 * goal:
                 size *= 1.1 if cells < goal else 0.9
                 continue
-            solved = solve(wanted, kit)
-            if solved is None:
-                continue
-            site, order = solved
-            if low <= len(order) <= high and 0.7 < len(order) / goal < 1.4:
-                found = Solved(family, site, tuple(order))
-                return with_exact_heap(found) if task.limited_heap else found
-            size *= np.clip((goal / len(order)) ** 0.4, 0.7, 1.4)
+            blocks = cells
+            # What is carried all the way down stands, of as many cubes as cells.
+            if not carried or fits(blocks, goal):
+                solved = solve(wanted, kit)
+                if solved is None:
+                    continue
+                site, order = solved
+                blocks = len(order)
+                if fits(blocks, goal):
+                    found = Solved(family, site, tuple(order))
+                    return with_exact_heap(found) if task.limited_heap else found
+            size *= np.clip((goal / blocks) ** 0.4, 0.7, 1.4)
     raise InputError(
         "design task", task.name, f"families that give designs of {low} to {high} blocks"
     )

@@ -194,7 +194,7 @@ def _compared(design: Solved, config: ArmMeasure, agent: Builder) -> dict[str, A
         return row | {"left_out": str(error)}
     placements = [site.placement(candidate) for candidate in design.order]
     site = make_site(site.wanted, kit)
-    chosen = np.array([site.candidate(placement) for placement in placements])
+    chosen = site.candidates(placements)
     for way in WAYS:
         hand.tried = hand.failed = 0
         hand.enter(site)

@@ -109,7 +109,7 @@ def block_masses(
 
 # ---------------------------------------------------------------- one block more
 
-_Arrays = tuple[
+StackArrays = tuple[
     np.ndarray,
     np.ndarray,
     np.ndarray,
@@ -119,6 +119,7 @@ _Arrays = tuple[
     np.ndarray,
     np.ndarray,
 ]
+"""Weights, centres, points, blocks above and below them, shares, starts and ranks of a stack."""
 
 
 @kernel
@@ -130,8 +131,8 @@ def grow_stack(
     pitch: tuple[float, float, float],
     inset: float,
     block: tuple[float, np.ndarray, np.ndarray],
-    old: _Arrays,
-) -> _Arrays:
+    old: StackArrays,
+) -> StackArrays:
     """Arrays of a stack, all but its last, with one more block.
 
     Args:

@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learn2assemble.assembly.kit import Cell, Kit, parts_of
+from learn2assemble.assembly.kit import Cell, Kit, boxed_parts_of
 from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import INF, Answer, Clock, Model, solve
 from learn2assemble.planning.tiling.candidates import (
@@ -222,8 +222,16 @@ def cover(
 # ---------------------------------------------------------------- layers
 
 
-_Layer = tuple[list[BlockPlacement], list[Cell]]
-"""Blocks of a part of a layer, and its cells that are left open."""
+class _Layer(NamedTuple):
+    """A part of a layer, from its corner."""
+
+    blocks: list[BlockPlacement]
+    owner: np.ndarray
+    """int64[X, Y]: which of them fills a cell, -1 for none."""
+    left: list[Cell]
+    """Cells that are left open."""
+
+
 _MOST_LAYERS = 1 << 14
 """Parts of layers that are remembered of a kit: some 50 MB."""
 
@@ -259,26 +267,29 @@ class _Layers:
                 f"choosing blocks: level {z + 1} of {self.wanted.shape[2]}, {len(chosen)} so far"
             )
             owner = np.full_like(owner, -1)
-            for part in [layer] if heaps else parts_of(layer):
-                for block in self._part(part, below, seams, z, heaps[z] if heaps else None):
-                    owner[tuple(placement_cells(block, self.kit)[:, :2].T)] = len(chosen)
-                    chosen.append(block)
+            # A heap is that of a whole layer.
+            for box, mask in boxed_parts_of(layer, whole=bool(heaps)):
+                self._part(box, mask, below, seams, z, heaps[z] if heaps else None, owner, chosen)
         return chosen
 
     def _part(
         self,
-        part: np.ndarray,
+        box: tuple[slice, ...],
+        mask: np.ndarray,
         below: np.ndarray,
         seams: tuple[np.ndarray, ...],
         z: int,
         heap: dict[int, int] | None,
-    ) -> list[BlockPlacement]:
-        """The blocks of one part of the layer at level ``z``."""
-        if not part.any():
-            return []
-        x0, y0 = (int(np.flatnonzero(part.any(axis))[0]) for axis in (1, 0))
-        x1, y1 = (int(np.flatnonzero(part.any(axis))[-1]) + 1 for axis in (1, 0))
-        mask, under = part[x0:x1, y0:y1], (below & part)[x0:x1, y0:y1]
+        owner: np.ndarray,
+        chosen: list[BlockPlacement],
+    ) -> None:
+        """Add the blocks of one part of a layer, and whose its cells are.
+
+        Args:
+            box: of its cells; ``mask`` (bool[X, Y]) says which of them are in it.
+        """
+        (x0, x1), (y0, y1) = ((side.start, side.stop) for side in box[:2])
+        under = below[x0:x1, y0:y1] & mask
         near = seams[0][x0 : x1 - 1, y0:y1], seams[1][x0:x1, y0 : y1 - 1]
         tint = None if self.shades is None else self.shades[x0:x1, y0:y1, z, None]
         key = b"|".join(
@@ -294,18 +305,20 @@ class _Layers:
         found = self.known.get(key)
         if found is None:
             before, self.timed_out = self.timed_out, False
-            found = self._solve(mask[:, :, None], under, near, heap, tint)
+            blocks, open_ = self._solve(mask[:, :, None], under, near, heap, tint)
+            whose = owners(blocks, self.kit, (*mask.shape, 1))[:, :, 0]
+            found = _Layer(blocks, whose, open_)
             if not self.timed_out:
                 if len(self.known) >= _MOST_LAYERS:
                     del self.known[next(iter(self.known))]
                 self.known[key] = found
             self.timed_out |= before
-        blocks, left = found
-        self.left += [(x + x0, y + y0, z) for x, y, _ in left]
-        return [
-            replace(block, origin=(block.origin[0] + x0, block.origin[1] + y0, z))
-            for block in blocks
-        ]
+        whose = owner[x0:x1, y0:y1]
+        np.copyto(whose, found.owner + len(chosen), where=found.owner >= 0)
+        self.left += [(x + x0, y + y0, z) for x, y, _ in found.left]
+        for block in found.blocks:
+            x, y, _ = block.origin
+            chosen.append(BlockPlacement(block.kind, block.turn, (x + x0, y + y0, z)))
 
     def _solve(
         self,

@@ -15,9 +15,10 @@ the new state stands. Candidates are found once; every placement then changes on
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +31,10 @@ from learn2assemble.planning.tiling.candidates import (
     find_candidates,
 )
 from learn2assemble.planning.tiling.props import FIRM, choose_props
-from learn2assemble.planning.tiling.stack import block_masses, find_stack, grow_stack
+from learn2assemble.planning.tiling.stack import StackArrays, block_masses, find_stack, grow_stack
 from learn2assemble.planning.tiling.tile import Tiling, check_cells
-from learn2assemble.statics.step_proof import EDGE_INSET, Proof, Stack, lies_below
+from learn2assemble.statics.local_proof import settle
+from learn2assemble.statics.step_proof import EDGE_INSET, Proof, Stack, lies_below, load_at_rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,19 +80,17 @@ class LatticeSite:
         x, y, z = (int(v) for v in self.found.origin[candidate])
         return BlockPlacement(self.kit.kinds[way.kind].name, way.turn, (x, y, z))
 
-    def candidate(self, placement: BlockPlacement) -> int:
-        """Index of a placement.
-
-        Raises:
-            KeyError: where it is none, because nothing carries it.
-        """
-        way = self._way_of.get((placement.kind, placement.turn), -1)
-        number: np.int64 = self._place_number(way, *placement.origin)
-        index = int(np.searchsorted(self._places, number))
-        found = index < len(self) and self.found.way[index] == way
-        if not found or tuple(self.found.origin[index].tolist()) != placement.origin:
-            raise KeyError(placement)
-        return index
+    def candidates(self, placements: Sequence[BlockPlacement]) -> np.ndarray:
+        """int64[k]: indices of placements; -1 for one that is none, as nothing carries it."""
+        if not len(self):
+            return np.full(len(placements), -1)
+        ways = [self._way_of.get((one.kind, one.turn), -1) for one in placements]
+        way = np.array(ways, np.int64)
+        origin = np.array([one.origin for one in placements], np.int64).reshape(-1, 3)
+        index = np.searchsorted(self._places, self._place_number(way, *origin.T))
+        near = np.minimum(index, len(self) - 1)
+        there = (self.found.way[near] == way) & (self.found.origin[near] == origin).all(1)
+        return np.where(there & (index < len(self)), near, -1)
 
     def _place_number(self, way: Any, x: Any, y: Any, z: Any) -> Any:
         """Grows with the way of a candidate, then with x, y and z of its origin."""
@@ -264,6 +264,50 @@ class LatticeWorld:
         self.put(candidate)
         return True
 
+    def lay(self, candidates: list[int]) -> list[int]:
+        """Put down, again and again in the given order, what lies on what is there and stands by
+        the local proof, until nothing more does.
+
+        The same as :meth:`place` of one after the other, compiled.
+
+        Returns:
+            the candidates that were put down, in the order in which they were.
+        """
+        site, stack, count = self.site, self.proof.stack, len(self.placed)
+        found, kit = site.found, site.kit
+        old = stack.weight, stack.centre, stack.point, stack.upper
+        arrays, force, laid = _lay(
+            np.array(candidates, np.int64),
+            _Lattice(
+                found.start,
+                found.cell,
+                found.way,
+                found.origin,
+                site.kind,
+                site.over_start,
+                site.over,
+                site.on_start,
+                site.on,
+                site.weight,
+                site.centre,
+            ),
+            _Growing(self.owner, self.alive, self.waits, self.cover, self.heap),
+            np.array(self.propped, np.int64),
+            tuple(map(int, site.wanted.shape)),
+            tuple(map(float, kit.pitch)),
+            kit.joint_gap / 2 + EDGE_INSET * min(kit.pitch[:2]),
+            (*old, stack.lower, stack.share, stack.start, stack.rank),
+            self.proof.force,
+            count,
+        )
+        done: list[int] = laid.tolist()
+        if done:
+            self.proof = Proof(Stack(*arrays, stack.cell))
+            self.proof.force = force
+            self.placed += done
+            self.open -= sum(len(site.cells(candidate)) for candidate in done)
+        return done
+
     def stands(self, candidate: int) -> bool:
         """Whether the local proof holds with one more block; nothing is put down."""
         return self._prove(candidate, False) is not None
@@ -388,6 +432,92 @@ def _run_out(
             alive[k] = False
             for j in range(start[k], start[k + 1]):
                 cover[cell[j]] -= 1
+
+
+class _Lattice(NamedTuple):
+    """What a kernel needs to know of a :class:`LatticeSite`, by the names it has there."""
+
+    start: np.ndarray
+    cell: np.ndarray
+    way: np.ndarray
+    origin: np.ndarray
+    kind: np.ndarray
+    over_start: np.ndarray
+    over: np.ndarray
+    on_start: np.ndarray
+    on: np.ndarray
+    weight: np.ndarray
+    centre: np.ndarray
+
+
+class _Growing(NamedTuple):
+    """What changes of a :class:`LatticeWorld`, in place."""
+
+    owner: np.ndarray
+    alive: np.ndarray
+    waits: np.ndarray
+    cover: np.ndarray
+    heap: np.ndarray
+
+
+@kernel
+def _lay(
+    candidates: np.ndarray,
+    site: _Lattice,
+    world: _Growing,
+    propped: np.ndarray,
+    shape: tuple[int, int, int],
+    pitch: tuple[float, float, float],
+    inset: float,
+    stack: StackArrays,
+    force: np.ndarray,
+    count: int,
+) -> tuple[StackArrays, np.ndarray, np.ndarray]:
+    """See :meth:`LatticeWorld.lay`: the stack, its forces, what was laid on ``count`` blocks."""
+    laid, done, moving = np.empty(len(candidates), np.int64), 0, True
+    gone = np.zeros(len(candidates), np.bool_)
+    unit = min(pitch[0], pitch[1])
+    while moving:
+        moving = False
+        for k in range(len(candidates)):
+            c = candidates[k]
+            if gone[k] or world.waits[c] != 0:
+                continue
+            cells = site.cell[site.start[c] : site.start[c + 1]]
+            block = site.weight[site.way[c]], site.centre[site.way[c]], site.origin[c]
+            grown = grow_stack(cells, world.owner, propped, shape, pitch, inset, block, stack)
+            weight, centre, point, upper, lower, share, start, rank = grown
+            load = load_at_rest(weight, centre, point, upper, lower, share, start, rank, unit)
+            forces = np.zeros(len(upper))
+            forces[: len(force)] = force
+            placed, dirty = np.ones(len(weight), np.bool_), np.zeros(len(weight), np.bool_)
+            dirty[-1] = True
+            if not settle(load, forces, placed, dirty, False):
+                continue
+            stack, force = grown, forces
+            _fill(
+                cells,
+                count + done,
+                world.owner,
+                world.alive,
+                world.waits,
+                world.cover,
+                site.over_start,
+                site.over,
+                site.on_start,
+                site.on,
+                site.start,
+                site.cell,
+            )
+            kind = site.kind[c]
+            if world.heap[kind] > 0:
+                world.heap[kind] -= 1
+                if world.heap[kind] == 0:
+                    _run_out(kind, site.kind, site.start, site.cell, world.alive, world.cover)
+            laid[done] = c
+            gone[k] = moving = True
+            done += 1
+    return stack, force, laid[:done]
 
 
 @kernel
