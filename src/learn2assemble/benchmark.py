@@ -112,6 +112,11 @@ def designs_single_steps_per_s(seconds: float) -> float:
     return _steps("designs-cubes-60", seconds, pool=5)
 
 
+def designs_fresh_steps_per_s(seconds: float) -> float:
+    """The same, each episode a design that was not met before."""
+    return _steps("designs-cubes-60", seconds)
+
+
 def goals_single_steps_per_s(seconds: float) -> float:
     """The environment in which a bridge is invented."""
     return _steps("goals-bridge", seconds)
@@ -269,6 +274,7 @@ MEASUREMENTS: dict[str, Callable[[float], float]] = {
     "static_single_steps_per_s": static_single_steps_per_s,
     "placements_single_steps_per_s": placements_single_steps_per_s,
     "designs_single_steps_per_s": designs_single_steps_per_s,
+    "designs_fresh_steps_per_s": designs_fresh_steps_per_s,
     "goals_single_steps_per_s": goals_single_steps_per_s,
     "rigid_actions_per_s": rigid_actions_per_s,
     "kinematic_actions_per_s": kinematic_actions_per_s,

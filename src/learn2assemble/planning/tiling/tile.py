@@ -222,7 +222,7 @@ def cover(
 # ---------------------------------------------------------------- layers
 
 
-class _Layer(NamedTuple):
+class _TiledPart(NamedTuple):
     """A part of a layer, from its corner."""
 
     blocks: list[BlockPlacement]
@@ -237,7 +237,7 @@ _MOST_LAYERS = 1 << 14
 
 
 @lru_cache(maxsize=4)
-def _known_layers(kit: Kit) -> dict[bytes, _Layer]:
+def _known_layers(kit: Kit) -> dict[bytes, _TiledPart]:
     """What was found for parts of layers, of this design or of others: the solver answers the same
     whenever it is asked. Random designs of one kit share more than half of their parts."""
     return {}
@@ -307,7 +307,7 @@ class _Layers:
             before, self.timed_out = self.timed_out, False
             blocks, open_ = self._solve(mask[:, :, None], under, near, heap, tint)
             whose = owners(blocks, self.kit, (*mask.shape, 1))[:, :, 0]
-            found = _Layer(blocks, whose, open_)
+            found = _TiledPart(blocks, whose, open_)
             if not self.timed_out:
                 if len(self.known) >= _MOST_LAYERS:
                     del self.known[next(iter(self.known))]
