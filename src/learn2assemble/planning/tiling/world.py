@@ -87,7 +87,8 @@ class LatticeSite:
         ways = [self._way_of.get((one.kind, one.turn), -1) for one in placements]
         way = np.array(ways, np.int64)
         origin = np.array([one.origin for one in placements], np.int64).reshape(-1, 3)
-        index = np.searchsorted(self._places, self._place_number(way, *origin.T))
+        number: np.ndarray = self._place_number(way, *origin.T)
+        index = np.searchsorted(self._places, number)
         near = np.minimum(index, len(self) - 1)
         there = (self.found.way[near] == way) & (self.found.origin[near] == origin).all(1)
         return np.where(there & (index < len(self)), near, -1)
@@ -275,6 +276,7 @@ class LatticeWorld:
         """
         site, stack, count = self.site, self.proof.stack, len(self.placed)
         found, kit = site.found, site.kit
+        (x, y, z), (dx, dy, dz) = site.wanted.shape, kit.pitch
         old = stack.weight, stack.centre, stack.point, stack.upper
         arrays, force, laid = _lay(
             np.array(candidates, np.int64),
@@ -293,8 +295,8 @@ class LatticeWorld:
             ),
             _Growing(self.owner, self.alive, self.waits, self.cover, self.heap),
             np.array(self.propped, np.int64),
-            tuple(map(int, site.wanted.shape)),
-            tuple(map(float, kit.pitch)),
+            (x, y, z),
+            (float(dx), float(dy), float(dz)),
             kit.joint_gap / 2 + EDGE_INSET * min(kit.pitch[:2]),
             (*old, stack.lower, stack.share, stack.start, stack.rank),
             self.proof.force,
@@ -484,7 +486,8 @@ def _lay(
             if gone[k] or world.waits[c] != 0:
                 continue
             cells = site.cell[site.start[c] : site.start[c + 1]]
-            block = site.weight[site.way[c]], site.centre[site.way[c]], site.origin[c]
+            way = site.way[c]
+            block = float(site.weight[way]), site.centre[way], site.origin[c]
             grown = grow_stack(cells, world.owner, propped, shape, pitch, inset, block, stack)
             weight, centre, point, upper, lower, share, start, rank = grown
             load = load_at_rest(weight, centre, point, upper, lower, share, start, rank, unit)
@@ -509,7 +512,7 @@ def _lay(
                 site.start,
                 site.cell,
             )
-            kind = site.kind[c]
+            kind = int(site.kind[c])
             if world.heap[kind] > 0:
                 world.heap[kind] -= 1
                 if world.heap[kind] == 0:
