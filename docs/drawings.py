@@ -329,7 +329,7 @@ def _curves(axes: Axes) -> None:
         with file.open(encoding="utf-8") as stream:
             lines += csv.DictReader(stream)
     tasks = dict.fromkeys(one["task"] for one in lines)
-    tones = (WARM, INK, ACCENT, SOFT, LINE, "#7048e8", "#2b8a3e")
+    tones = (WARM, INK, ACCENT, SOFT, LINE, "#7048e8", "#2b8a3e", "#e8590c", "#d6336c", "#a98467")
     for task, tone in zip(tasks, tones[: len(tasks)], strict=True):
         mine = [one for one in lines if one["task"] == task]
         for n, seed in enumerate(sorted({one["seed"] for one in mine})):

@@ -1,6 +1,6 @@
 """MaskablePPO of sb3-contrib in the benchmark: ``pip install sb3-contrib``.
 
-    python examples/benchmark/maskable_ppo.py maskable-ppo.jsonl.gz [steps] [seeds] [TASK ...]
+    python examples/benchmark/maskable_ppo.py maskable-ppo.jsonl.gz [SEEDS] [TASK=STEPS ...]
 
 About a minute for 50,000 steps of a seed: it trains on random problems of each task (of designs,
 on those of the families of training, out of a pool of them), and plays some of the benchmark.
@@ -23,7 +23,7 @@ from learn2assemble.envs.submission import board, enter
 from learn2assemble.envs.suite import SuiteTask
 from learn2assemble.files import check_new
 
-TASK, PROBLEMS, POOL, MOST = "two-sided-3x3-20-24", 20, 20, 32
+TASKS, PROBLEMS, POOL, MOST = ["two-sided-3x3-20-24=10000"], 20, 20, 32
 torch.set_num_threads(1)  # The network is small.
 
 
@@ -95,7 +95,7 @@ class Learned:
     knows = "observation"
 
     def __init__(self, seed: int) -> None:
-        self.models = {task: train(task, seed, steps) for task in tasks}
+        self.models = {task: train(task, seed, steps) for task, steps in tasks.items()}
 
     def begin(self, env: gymnasium.Env) -> None:
         self.model = self.models[env.task.name]
@@ -111,10 +111,10 @@ beside = Path(file).with_name(Path(file).name.partition(".")[0] + ".csv")
 for path in Path(file), beside:
     check_new(path, "FILE")  # Before hours of training.
 curves: list[tuple[str, int, int, float]] = []
-steps, seeds = (*map(int, given[:2]), *(10_000, 1)[len(given[:2]) :])
-tasks = given[2:] or [TASK]
+seeds = int(given[0]) if given else 1
+tasks = {task: int(steps) for task, steps in (one.split("=") for one in given[1:] or TASKS)}
 policies = [Learned(seed) for seed in range(seeds)]
-entry = enter(policies, f"MaskablePPO ({steps} steps)", tasks=tasks, problems=PROBLEMS)
+entry = enter(policies, "MaskablePPO", tasks=list(tasks), problems=PROBLEMS)
 print(board([entry]))
 entry.write(file)
 with beside.open("w", newline="") as rows:
