@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_world_model import TINY, walls
 
 from l2a_lab.recordings import VARIANTS, drifted, fit_tilt, read_lines
 from l2a_lab.replay import ReplayReport, replay_file
@@ -35,6 +34,7 @@ from learn2assemble.tasks.world.state import State
 from learn2assemble.tasks.world_model import WorldModel
 from learning_data import look_ahead
 from make_recordings import REFERENCE, SAMPLE, sample_files, sample_lines, unpack
+from test_search import TINY, walls
 
 MIXED = ["2wo_g3_n30", "2wo_g4_n40", "2wo_g5_n50", "4wo_g3_n30", "4wo_g5_n50", "1mimic_g3_n27"]
 SUPPORTED = ["2wo_g5_n50_supported", "4wo_g5_n50_supported"]
