@@ -70,7 +70,7 @@ def test_a_block_that_is_advised_builds_the_design() -> None:
         more = replace(kit, kinds=(*kit.kinds, longer))
         tiling, ordering = plan_exact(wanted, more, props_allowed=False)
         assert (ordering or tiling).status == "complete"
-    assert "nothing below carries the cell (0, 0, 3), and with every choice" in reason
+    assert "nothing below carries the cell (0, 0, 3), and blocks of kit `cubes` fall" in reason
 
 
 def test_a_kit_that_is_advised_builds_the_design() -> None:

@@ -520,3 +520,18 @@ def test_cells_that_show_all_of_a_drawing_are_named_and_show_it(
         again = _read(tmp_path, path, cell=advised / 1000)
         assert again.iou == pytest.approx(1.0, abs=1e-6)
         assert not again.note
+
+
+def test_what_is_not_all_of_a_drawing_is_not_called_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A slope over half of one cell of 110: 99.5 % in common is not rounded up."""
+    path = "M0 0H1050L1100 50V500H0Z"
+    file = tmp_path / "slope.svg"
+    file.write_text(
+        '<svg xmlns="http://www.w3.org/2000/svg" width="1100mm" height="500mm" '
+        f'viewBox="0 0 1100 500"><path d="{path}"/></svg>'
+    )
+    words = ["build", str(file), "--cell", "0.05", "--preview", str(tmp_path / "p.png")]
+    assert main(words) == 0
+    assert "; 99% of drawing and cells are common" in capsys.readouterr().out

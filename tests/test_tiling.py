@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cell_shapes import SHAPES, wall
-from learn2assemble.assembly.kit import Kind, Kit, load_kit, orientations
+from learn2assemble.assembly.kit import Kind, Kit, load_kit, orientations, parts_of
 from learn2assemble.errors import InputError, Learn2AssembleError
 from learn2assemble.linear_programs import Clock, LinearProgram, solve
 from learn2assemble.planning.tiling import retiling
@@ -23,9 +23,12 @@ from learn2assemble.planning.tiling.candidates import (
     filled_pairs,
     find_candidates,
 )
+from learn2assemble.planning.tiling.props import unsupported
 from learn2assemble.planning.tiling.retiling import improve_bond
+from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.tile import Tiling, find_seams, owners, seams_bridged, tile
 from learn2assemble.planning.tiling.ways import convex_hull, support_margin
+from learn2assemble.planning.tiling.world import LatticeWorld, make_site
 
 LINTELS = load_kit("bricks-lintels")
 SMALL = Kit("small", tuple(Kind(f"1x{n}", tuple((k, 0, 0) for k in range(n))) for n in (1, 2, 3)))
@@ -426,3 +429,58 @@ def test_solvers_are_given_valid_programs_only(changes: dict) -> None:
     assert solve(program()).objective == 1.0
     with pytest.raises(Learn2AssembleError, match="malformed"):
         program(**changes)
+
+
+def heights(rng: np.random.Generator) -> np.ndarray:
+    """Cells of a small landscape in which some are missing, so that blocks have to reach over."""
+    wide, deep, high = (int(v) for v in rng.integers((3, 1, 2), (9, 4, 6)))
+    cells = np.arange(high) < rng.integers(1, high + 1, (wide, deep, 1))
+    cells[:, :, : high - 1] &= rng.random((wide, deep, high - 1)) < 0.9
+    return cells
+
+
+def test_what_is_laid_is_the_stack_of_its_blocks_and_balanced() -> None:
+    """Blocks are laid in one compiled call: the stack is the one that all of them make, the forces
+    balance each, and what is left can be laid neither now nor one by one. What nothing carries is
+    no candidate."""
+    rng, laid, fell = np.random.default_rng(7), 0, 0
+    for number in range(120):
+        kit = load_kit(("bricks", "bricks-lintels", "cubes")[number % 3])
+        wanted = heights(rng)
+        if len(unreached := floating(wanted)):
+            wanted[tuple(unreached.T)] = False
+        tiling = tile(wanted, kit)
+        site = make_site(wanted, kit)
+        blocks = site.candidates(tiling.placements)
+        assert np.flatnonzero(blocks < 0).tolist() == unsupported(tiling, kit)
+        blocks = blocks[blocks >= 0]
+        world = LatticeWorld(site)
+        order = world.lay(blocks.tolist())
+        placements = tuple(site.placement(candidate) for candidate in order)
+        assert world.placed == order
+        assert world.open == wanted.sum() - sum(len(site.cells(c)) for c in order)
+        left = [c for c in blocks.tolist() if c not in order]
+        assert not any(world.waits[c] == 0 and world.stands(c) for c in left)
+        laid, fell = laid + len(order), fell + len(left)
+        if not order:
+            continue
+        stack, force = find_stack(placements, kit, wanted.shape), world.proof.force
+        for name in ("weight", "centre", "point", "upper", "lower", "share", "start", "rank"):
+            np.testing.assert_allclose(getattr(world.proof.stack, name), getattr(stack, name))
+        assert (force >= 0).all()
+        for block in range(len(stack)):
+            on, under = stack.upper == block, stack.lower == block
+            pushed = np.where(on, force, 0.0) - np.where(under, force, 0.0)
+            assert pushed.sum() == pytest.approx(stack.weight[block], rel=1e-6)
+            moment = pushed @ stack.point[:, :2]
+            np.testing.assert_allclose(
+                moment, stack.weight[block] * stack.centre[block, :2], atol=1e-6
+            )
+    assert laid > 1000
+    assert fell > 10
+
+
+def floating(wanted: np.ndarray) -> np.ndarray:
+    """int64[n, 3]: cells that hang together with none on the table."""
+    parts = [part for part in parts_of(wanted) if not part[:, :, 0].any()]
+    return np.argwhere(np.logical_or.reduce([wanted & False, *parts]))

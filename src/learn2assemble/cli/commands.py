@@ -414,7 +414,9 @@ def _reading(iou: float | None, note: str | None) -> tuple[str, str]:
     """
     from learn2assemble.design.lost import POOR
 
-    common = "" if iou is None else f"{iou:.0%} of drawing and cells are common"
+    # What is not all of it is never rounded up to that.
+    share = iou if iou is None or iou > 1 - 1e-9 else min(iou, 0.99)
+    common = "" if share is None else f"{share:.0%} of drawing and cells are common"
     if iou is not None and iou < POOR:
         return "", f"warning: only {': '.join(filter(None, (common, note)))}"
     return f"; {common}" if common else "", note or ""

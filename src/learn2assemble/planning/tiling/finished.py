@@ -275,8 +275,8 @@ def _falls(
         cells = open_below(
             tiling.wanted, [placement_cells(tiling.placements[b], kit) for b in blocks]
         )
-        words = f"nothing below carries {describe_cells(tiling.wanted, cells)[0]}, and with every "
-        words += f"choice of blocks of kit `{kit.name}` some fall there"
+        lack = describe_cells(tiling.wanted, cells)[0]
+        words = f"nothing below carries {lack}, and blocks of kit `{kit.name}` fall there"
     reason = f"{words}; the finished building would fall"
     if not any_way:
         reason += " without friction"

@@ -105,6 +105,24 @@ class LatticeSite:
         return self._place_number(self.found.way, x, y, z)
 
     @cached_property
+    def arrays(self) -> SiteArrays:
+        """What kernels take of it."""
+        found = self.found
+        return SiteArrays(
+            found.start,
+            found.cell,
+            found.way,
+            found.origin,
+            self.kind,
+            self.over_start,
+            self.over,
+            self.on_start,
+            self.on,
+            self.weight,
+            self.centre,
+        )
+
+    @cached_property
     def _way_of(self) -> dict[tuple[str, int], int]:
         """Numbers of ways by kinds and turns."""
         kinds = self.kit.kinds
@@ -258,7 +276,9 @@ class LatticeWorld:
         Args:
             program: where the local proof fails, ask the linear program.
         """
-        proof = self._prove(candidate, program)
+        if self.lay([candidate]):
+            return True
+        proof = self._by_program(candidate) if program else None
         if proof is None:
             return False
         self.proof = proof
@@ -267,37 +287,22 @@ class LatticeWorld:
 
     def lay(self, candidates: list[int]) -> list[int]:
         """Put down, again and again in the given order, what lies on what is there and stands by
-        the local proof, until nothing more does.
-
-        The same as :meth:`place` of one after the other, compiled.
+        the local proof, until nothing more does: compiled as a whole.
 
         Returns:
             the candidates that were put down, in the order in which they were.
         """
         site, stack, count = self.site, self.proof.stack, len(self.placed)
-        found, kit = site.found, site.kit
-        (x, y, z), (dx, dy, dz) = site.wanted.shape, kit.pitch
+        (x, y, z), (dx, dy, dz) = site.wanted.shape, site.kit.pitch
         old = stack.weight, stack.centre, stack.point, stack.upper
         arrays, force, laid = _lay(
             np.array(candidates, np.int64),
-            _Lattice(
-                found.start,
-                found.cell,
-                found.way,
-                found.origin,
-                site.kind,
-                site.over_start,
-                site.over,
-                site.on_start,
-                site.on,
-                site.weight,
-                site.centre,
-            ),
+            site.arrays,
             _Growing(self.owner, self.alive, self.waits, self.cover, self.heap),
             np.array(self.propped, np.int64),
             (x, y, z),
             (float(dx), float(dy), float(dz)),
-            kit.joint_gap / 2 + EDGE_INSET * min(kit.pitch[:2]),
+            site.kit.joint_gap / 2 + EDGE_INSET * min(dx, dy),
             (*old, stack.lower, stack.share, stack.start, stack.rank),
             self.proof.force,
             count,
@@ -312,7 +317,10 @@ class LatticeWorld:
 
     def stands(self, candidate: int) -> bool:
         """Whether the local proof holds with one more block; nothing is put down."""
-        return self._prove(candidate, False) is not None
+        proof = self._grown(candidate)
+        placed, dirty = np.ones(len(proof.stack), bool), np.zeros(len(proof.stack), bool)
+        dirty[-1] = True
+        return proof.settle(dirty, placed)
 
     def prop_up(self, candidate: int) -> bool:
         """Put down a legal candidate that falls, where a stack of blocks below it can be a prop."""
@@ -364,19 +372,16 @@ class LatticeWorld:
         found = self.site.found
         _run_out(kind, self.site.kind, found.start, found.cell, self.alive, self.cover)
 
-    def _prove(self, candidate: int, program: bool) -> Proof | None:
+    def _by_program(self, candidate: int) -> Proof | None:
+        """The proof of the state with one more block by the linear program; None where it falls."""
         proof = self._grown(candidate)
         stack, count = proof.stack, len(proof.stack)
-        placed, dirty = np.ones(count, bool), np.zeros(count, bool)
-        dirty[-1] = True
-        if proof.settle(dirty, placed):
-            return proof
-        if program:
-            free = placed.copy()
-            free[self.propped] = False
-            for changing in (lies_below(stack, [count - 1], placed), free):
-                if proof.program(placed, changing):
-                    return proof
+        placed = np.ones(count, bool)
+        free = placed.copy()
+        free[self.propped] = False
+        for changing in (lies_below(stack, [count - 1], placed), free):
+            if proof.program(placed, changing):
+                return proof
         return None
 
     def _grown(self, candidate: int) -> Proof:
@@ -436,8 +441,8 @@ def _run_out(
                 cover[cell[j]] -= 1
 
 
-class _Lattice(NamedTuple):
-    """What a kernel needs to know of a :class:`LatticeSite`, by the names it has there."""
+class SiteArrays(NamedTuple):
+    """What kernels take of a :class:`LatticeSite` and its candidates, by the names there."""
 
     start: np.ndarray
     cell: np.ndarray
@@ -465,7 +470,7 @@ class _Growing(NamedTuple):
 @kernel
 def _lay(
     candidates: np.ndarray,
-    site: _Lattice,
+    site: SiteArrays,
     world: _Growing,
     propped: np.ndarray,
     shape: tuple[int, int, int],
