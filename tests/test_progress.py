@@ -74,11 +74,10 @@ def test_compiling_uses_no_time_of_a_limit() -> None:
 
 def test_compiling_is_told_with_the_time_it_is_part_of(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first run takes many times as long as the second one, and says why."""
-    assert compiling.spent_words(41.52, 37.9) == (
-        "41.5 s, of which 38 s compiling once for this machine"
-    )
-    assert compiling.spent_words(1.6, 0.4) == "1.6 s"
-    assert compiling.spent_words(55.9, 55.9).startswith("55.9 s, of which 55 s "), "a part of it"
+    told = compiling.compiling_words
+    assert told(41.52, 37.9) == "38 s of these compiling, once for this machine"
+    assert told(55.9, 55.9).startswith("55 s of these "), "a part of it"
+    assert told(1.6, 0.4) == told(0.5, 30.0) == "", "a second or less is not worth a line"
     compiling_seconds(time.monotonic)  # From now on it is watched.
     watched = compiling._watched()
     beat = output.Heartbeat("choosing blocks", 60.0)
@@ -92,14 +91,14 @@ def test_compiling_is_told_with_the_time_it_is_part_of(monkeypatch: pytest.Monke
         assert "l2a: compiling, once for this machine ... " in beat.words(beat.started + 38)
     finally:
         watched.end()
-    told = list[str]()
+    said = list[str]()
     monkeypatch.setattr(linear_programs, "EVERY", 0.0)
-    clock = Clock(60.0, progress=told.append)
+    clock = Clock(60.0, progress=said.append)
     monkeypatch.setitem(watched.spent, time.monotonic, watched.spent[time.monotonic] + 12.0)
     clock.tell("level 2")
     clock.tell("level 3")
-    assert "level 2 (compiled 12 s once for this machine; no limit counts it), at most " in told[0]
-    assert told[1].startswith("level 3, at most "), "it is told once"
+    assert "level 2 (compiled 12 s once for this machine; no limit counts it), at most " in said[0]
+    assert said[1].startswith("level 3, at most "), "it is told once"
 
 
 def told_of(monkeypatch: pytest.MonkeyPatch, wanted: np.ndarray, **options: object) -> list[str]:

@@ -62,16 +62,16 @@ def compiling_so_far() -> tuple[float, float]:
     return _watched().spent[time.monotonic] + now, now
 
 
-def spent_words(seconds: float, compiled: float) -> str:
-    """How long something took, e.g. ``41.5 s, of which 38 s compiling once for this machine``.
+def compiling_words(seconds: float, compiled: float) -> str:
+    """What compiling took of a time, e.g. ``38 s of these compiling, once for this machine``.
 
     Args:
         seconds: in all.
-        compiled: of these, in which kernels were compiled; a second or less is not told.
+        compiled: of these, in which kernels were compiled; of a second or less nothing is told.
     """
-    share = min(round(compiled), int(seconds))
-    part = f", of which {share} s compiling once for this machine"
-    return f"{seconds:.1f} s" + part * (compiled > TOLD)
+    if min(compiled, seconds) <= TOLD:
+        return ""
+    return f"{min(round(compiled), int(seconds))} s of these compiling, once for this machine"
 
 
 @lru_cache(maxsize=1)

@@ -31,7 +31,7 @@ from learn2assemble.cli.parser import (
 )
 from learn2assemble.cli.running import COMMANDS as RUNNING
 from learn2assemble.cli.structures import COMMANDS as STRUCTURES
-from learn2assemble.compiling import compiling_so_far, spent_words
+from learn2assemble.compiling import compiling_so_far, compiling_words
 from learn2assemble.errors import InputError, check_name, require
 from learn2assemble.files import check_exists, check_new, claim_folder
 from learn2assemble.registry import Registry
@@ -176,6 +176,7 @@ def _build(options: argparse.Namespace, output: Output) -> int:
     interrupted = state is not None and state.exists()
     with claim_folder(options.out, options.resume, "go on with `resume=`" * interrupted):
         output.phase(f"reading {options.design}")
+        before, _ = compiling_so_far()
         plan = build(
             options.design,
             **asked(build, options, "design"),
@@ -185,7 +186,7 @@ def _build(options: argparse.Namespace, output: Output) -> int:
             **reading_of(options),
         )
         # Now, as pages and videos are drawn by kernels, too.
-        compiled, _ = compiling_so_far()
+        compiled = compiling_so_far()[0] - before
         output.phase("writing the files of the plan")
         files = plan.save(options.out, video=video, progress=output.progress)
         if state is not None and plan.complete:
@@ -342,9 +343,9 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path], compiled: fl
     status = plan.status
     if found := plan.not_placed:
         status, number = f"{status} by the arm", f"{found} blocks found, none placed"
-    output.paragraph(
-        f"{status}: {number}, {plan.planner} planner, {spent_words(plan.seconds, compiled)}"
-    )
+    output.paragraph(f"{status}: {number}, {plan.planner} planner, {plan.seconds:.1f} s")
+    if words := compiling_words(plan.seconds, compiled):
+        output.say(words)
     if helped := _hands_of(plan):
         output.say(f"hands: {', '.join(helped)}")
     for stage in plan.search.attempts if plan.search else ():
