@@ -63,6 +63,7 @@ from learn2assemble.tasks.task import get_task
 from learn2assemble.tasks.world.coverage import to_pixels
 
 OUTSIDERS = ROOT / "examples" / "benchmark"
+ENTRIES = sorted((ROOT / "results" / "benchmark").glob("*.jsonl.gz"))
 SMALL, ROBOT = "two-sided-3x3-20-24", "robot-two-sided-3x3-10-14"
 HIDDEN = "hidden-designs-20"
 FEW = [SMALL, "goals-cantilever"]
@@ -288,16 +289,18 @@ def test_policies_of_several_seeds_are_runs_of_one_entry(tmp_path: Path) -> None
 
 
 def test_the_board_of_the_documents_is_that_of_its_files() -> None:
-    files = sorted((ROOT / "results" / "benchmark").glob("*.jsonl.gz"))
-    assert len(files) >= 5
     page = (ROOT / "docs" / "benchmark.md").read_text(encoding="utf-8")
-    assert board([read_submission(file) for file in files]) in page
+    assert board([read_submission(file) for file in ENTRIES]) in page
 
 
-def test_the_entries_of_placements_play_as_they_say() -> None:
-    """Those of designs take a minute to draw."""
-    for name in ("behaviour-cloning", "maskable-ppo"):
-        check(ROOT / "results" / "benchmark" / f"{name}.jsonl.gz")
+@pytest.mark.parametrize("path", ENTRIES, ids=lambda path: path.name.partition(".")[0])
+def test_the_first_problems_of_every_entry_play_as_they_say(path: Path, tmp_path: Path) -> None:
+    """All of them take minutes; large heaps take seconds to draw."""
+    entry = read_submission(path)
+    few = [one for one in entry.played if one.problem == 0 and "-400-" not in one.task]
+    assert few
+    replace(entry, played=tuple(few)).write(tmp_path / path.name)
+    check(tmp_path / path.name)
 
 
 # ---------------------------------------------------------------- policies

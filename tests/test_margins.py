@@ -54,14 +54,17 @@ def reaches(assembly: Assembly, angles: np.ndarray) -> np.ndarray:
     for angle in angles:
         ring = angle + 2 * np.pi / SIDES * np.arange(SIDES)
         rays = assembly.friction * np.stack([np.cos(ring), np.sin(ring)], 1)
-        cones = [np.column_stack([rays, np.full(SIDES, up)]).T for up in sign]
+        cones = [sp.csr_matrix(np.column_stack([rays, np.full(SIDES, up)]).T) for up in sign]
         push = np.zeros((len(assembly.blocks), 6))
         for k, block in enumerate(assembly.blocks):
             force = GRAVITY * block.mass * np.array([np.cos(angle), np.sin(angle), 0.0])
             push[k] = np.concatenate([force, np.cross(block.centroid, force)])
         columns = (
             sp.hstack(
-                [sp.csr_matrix(matrix @ sp.block_diag(cones)), sp.csr_matrix(-push.reshape(-1, 1))]
+                [
+                    sp.csr_matrix(matrix @ sp.block_diag(cones)),
+                    sp.csr_matrix(-push.reshape(-1, 1)),
+                ]
             )
             / scale
         )

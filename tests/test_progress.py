@@ -47,6 +47,17 @@ def test_details_are_told_not_too_often_with_the_time_that_is_left() -> None:
     assert [line.what for line in told] == ["2 steps", "4 steps"]
 
 
+def test_the_pace_of_steps_says_what_the_rest_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps of 3 s; one that has to be done again is as much more that is left."""
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    pace, told = progress.Pace(), []
+    for left in (5, 4, 4, 3, 0):
+        told.append(pace.about(left))
+        now[0] += 3.0
+    assert told == ["", ", about 12 s", ", about 24 s", ", about 14 s", ""]
+
+
 def test_what_is_counted_is_told_with_an_estimate(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two seconds each, by a stand-in clock: nothing before the first is done."""
     now, told = [0.0], list[str]()

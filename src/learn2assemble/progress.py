@@ -36,6 +36,26 @@ class Detail(str):
         return made
 
 
+class Pace:
+    """How long the rest of something takes if it goes on as it did, from how much is left."""
+
+    def __init__(self) -> None:
+        self._began: float = time.monotonic()
+        self._first: int | None = None
+
+    def about(self, left: int) -> str:
+        """The estimate in words; none before it rests on anything, or at the end.
+
+        Args:
+            left: of the same things as in the calls before.
+        """
+        now = time.monotonic()
+        if self._first is None or left > self._first:
+            self._began, self._first = now, left
+        done, passed = self._first - left, now - self._began
+        return f", about {passed / done * left:.0f} s" if done and left and passed >= EVERY else ""
+
+
 class Counting:
     """Tells how many of many are done, not too often, with an estimate of what the rest takes.
 
@@ -48,9 +68,10 @@ class Counting:
         self.what: str = what
         self.total: int = total
         self.progress: Progress = progress
-        self.first: int = done
         self.done: int = done
-        self._began = self._told = time.monotonic()
+        self._pace = Pace()
+        self._pace.about(total - done)
+        self._told: float = time.monotonic()
 
     def add(self, number: int = 1) -> None:
         """So many more are done."""
@@ -58,9 +79,8 @@ class Counting:
         now = time.monotonic()
         if now - self._told >= EVERY and self.done < self.total:
             self._told = now
-            rate = (now - self._began) / (self.done - self.first)
-            left = f"about {rate * (self.total - self.done):.0f} s left"
-            self.progress(Detail(f"{self.what}: {self.done} of {self.total}, {left}"))
+            left = f"{self._pace.about(self.total - self.done)} left"
+            self.progress(Detail(f"{self.what}: {self.done} of {self.total}{left}"))
 
 
 def counted(items: Sequence[Item], what: str, progress: Progress) -> Iterator[Item]:

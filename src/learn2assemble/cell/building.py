@@ -35,7 +35,7 @@ from learn2assemble.cell.world import (
 from learn2assemble.motion.checked import Checked
 from learn2assemble.motion.plant import Plant, PlantError, Request, Stop, standing
 from learn2assemble.motion.recorder import StepMotion
-from learn2assemble.progress import Detail
+from learn2assemble.progress import Detail, Pace
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Move, Outcome, carried
 
@@ -122,6 +122,8 @@ class Building:
         self.attempts: Attempts = Attempts(self.job, self.plant, self.sight, self.recorded)
         self.witness, self.stopped = witness, Stop.END
         """Why the plant ended the build, where it did."""
+        self.pace: Pace = Pace()
+        """Of the steps that are left."""
         self.joints: np.ndarray = self._where(arm.home)
         self.goes_home: bool = bool(workcell.site.cameras)
         """Whether the arm waits at home, not above what it takes next: where cameras look for
@@ -172,7 +174,7 @@ class Building:
             left = sum(not self.known.satisfied(step) for step in self.known.order)
             how = "by hand" if last.hand else f"attempt {last.number}"
             text = f"{how}: {last.what} {piece.id} ({piece.name}): {last.outcome}, "
-            text += f"{left} step{'s' * (left != 1)} left"
+            text += f"{left} step{'s' * (left != 1)} left{self.pace.about(left)}"
             progress(Detail(text))
         return f"given up after {most} attempts"
 

@@ -309,7 +309,7 @@ class Together(Generic[Cell]):
         left = sum(not building.known.satisfied(step) for step in building.known.order)
         text = f"{self.worked[who].name}: {last.what} {world.pieces[action.block].id}: "
         text += f"{last.outcome}{': ' + last.detail if last.detail else ''}, "
-        text += f"{left} step{'s' * (left != 1)} left"
+        text += f"{left} step{'s' * (left != 1)} left{building.pace.about(left)}"
         progress(Detail(text))
         return True
 

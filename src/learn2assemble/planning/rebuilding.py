@@ -17,7 +17,7 @@ from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.changeover import Changeover
 from learn2assemble.planning.forward import Forward
 from learn2assemble.planning.sequence import Doing
-from learn2assemble.progress import Detail
+from learn2assemble.progress import Detail, Pace
 from learn2assemble.statics.states import State
 
 WIDTHS = (4, 16, 64)
@@ -160,13 +160,14 @@ class _Beam:
         """
         first = self._ranked(0, self.going, self.coming, -1, None, None)
         level, last = [first], first
-        total = len(self.going) + len(self.coming)
+        total, pace = len(self.going) + len(self.coming), Pace()
         for number in range(total):
             level = self._next(level, falling)
             if not level or self.clock.left <= 0:
                 return Rebuilt(last.steps(), last.moves, self.going, False, self._stuck(last))
             last = level[0]
-            self.progress(Detail(f"{number + 1} of {total} blocks taken or placed"))
+            told = pace.about(total - number - 1)
+            self.progress(Detail(f"{number + 1} of {total} blocks taken or placed{told}"))
         return Rebuilt(last.steps(), last.moves, self.going, True)
 
     def _stuck(self, last: _PartialOrder) -> tuple[int, ...]:
