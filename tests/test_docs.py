@@ -171,7 +171,7 @@ def set_up_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Be in a folder with what commands of documents read; videos have fewer pictures."""
     monkeypatch.chdir(folder)
     monkeypatch.setattr("learn2assemble.viewer.server.serve", lambda *_: "")
-    monkeypatch.setattr("learn2assemble.viewer.video.SPEED", 20.0)
+    monkeypatch.setattr("learn2assemble.viewer.video.SPEED", 200.0)
     for name in ("examples", "tests"):
         (folder / name).symlink_to(ROOT / name)
     shutil.copytree(ROOT / "results", folder / "results")

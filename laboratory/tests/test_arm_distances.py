@@ -534,7 +534,7 @@ def is_whole(plan: Plan, cell: WatchedCell) -> None:
         assert arm.did.attempts == len(record.steps)
 
 
-@pytest.mark.parametrize(("arm", "at"), [STOP, (1, 12.0)])
+@pytest.mark.parametrize(("arm", "at"), [(1, 12.0)])
 def test_a_build_whose_arm_was_stopped_is_gone_on_with(
     planned: tuple[Plan, list[Member]],
     stopped: Callable[[int, float], tuple[Plan, StoppedCell, str]],
