@@ -5,9 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -475,7 +473,7 @@ KIT = load_kit("bricks")
 
 COUNT = 10
 """Blocks of the wall."""
-STOP = 0, 8.0
+STOP = 1, 12.0
 """The arm that is stopped, and when [s]."""
 
 
@@ -506,15 +504,10 @@ def build(
 @pytest.fixture(scope="module")
 def stopped(
     planned: tuple[Plan, list[Member]], tmp_path_factory: pytest.TempPathFactory
-) -> Callable[[int, float], tuple[Plan, StoppedCell, str]]:
-    """What came of a build of which an arm was stopped at a time [s], its cell, and its file."""
-
-    @cache
-    def made(arm: int, at: float) -> tuple[Plan, StoppedCell, str]:
-        log = tmp_path_factory.mktemp("stopped") / "build.jsonl"
-        return *build(planned, log, Pressed(arm, at)), log.read_text(encoding="utf-8")
-
-    return made
+) -> tuple[Plan, StoppedCell, str]:
+    """What came of a build of which an arm was stopped, its cell, and its file."""
+    log = tmp_path_factory.mktemp("stopped") / "build.jsonl"
+    return *build(planned, log, Pressed(*STOP)), log.read_text(encoding="utf-8")
 
 
 def is_whole(plan: Plan, cell: WatchedCell) -> None:
@@ -534,22 +527,19 @@ def is_whole(plan: Plan, cell: WatchedCell) -> None:
         assert arm.did.attempts == len(record.steps)
 
 
-@pytest.mark.parametrize(("arm", "at"), [(1, 12.0)])
 def test_a_build_whose_arm_was_stopped_is_gone_on_with(
     planned: tuple[Plan, list[Member]],
-    stopped: Callable[[int, float], tuple[Plan, StoppedCell, str]],
+    stopped: tuple[Plan, StoppedCell, str],
     tmp_path: Path,
-    arm: int,
-    at: float,
 ) -> None:
     log = tmp_path / "build.jsonl"
-    first, cell, text = stopped(arm, at)
+    first, cell, text = stopped
     log.write_text(text, encoding="utf-8")
     assert first.status == "incomplete"
     assert "pressed the button" in (first.reason or "")
     assert cell.stage
     # The other one does what it can, and stands then.
-    assert np.abs(cell.plants[1 - arm].sense().velocity).max() < 1e-2
+    assert np.abs(cell.plants[1 - STOP[0]].sense().velocity).max() < 1e-2
     assert cell.least().distance >= 0.010
     before = len(first.steps)
     assert before < COUNT
@@ -580,13 +570,13 @@ def test_a_build_that_was_ended_by_force_is_gone_on_with(
 
 def test_the_file_of_another_build_is_refused(
     planned: tuple[Plan, list[Member]],
-    stopped: Callable[[int, float], tuple[Plan, StoppedCell, str]],
+    stopped: tuple[Plan, StoppedCell, str],
     tmp_path: Path,
 ) -> None:
     """That of the same plan by arms of other names is one."""
     log = tmp_path / "build.jsonl"
     plan, members = planned
-    log.write_text(stopped(*STOP)[2], encoding="utf-8")
+    log.write_text(stopped[2], encoding="utf-8")
     other = [replace(members[0], name="left"), members[1]]
     with pytest.raises(InputError, match="--resume"):
         build((plan, other), log)
