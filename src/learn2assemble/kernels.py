@@ -15,7 +15,7 @@ from typing import Any, TypeVar, cast, overload
 import numpy as np
 from numba import njit
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
-from numba.core.types import BaseTuple
+from numba import types
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -101,7 +101,7 @@ class _KernelCache(FunctionCache):
 
 def _fields(kinds: Iterable[Any]) -> list[Any]:
     """Fields of the named tuples among types: numba knows these by class and types of fields."""
-    tuples = [kind for kind in kinds if isinstance(kind, BaseTuple)]
+    tuples = [kind for kind in kinds if isinstance(kind, types.BaseTuple)]
     return [(getattr(kind, "fields", ()), _fields(getattr(kind, "types", ()))) for kind in tuples]
 
 
