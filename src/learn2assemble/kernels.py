@@ -13,9 +13,8 @@ from types import CodeType, ModuleType
 from typing import Any, TypeVar, cast, overload
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
-from numba import types
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
