@@ -323,20 +323,21 @@ def _bars(axes: Axes) -> None:
 
 
 def _curves(axes: Axes) -> None:
-    """Returns of MaskablePPO while it trains, of every task and seed."""
-    lines: list[dict[str, str]] = []
-    for file in sorted((ROOT / "results" / "benchmark").glob("*.csv")):
-        with file.open(encoding="utf-8") as stream:
-            lines += csv.DictReader(stream)
+    """Returns of MaskablePPO and of DQN (broken lines) while they train, of every task and seed."""
+    with (ROOT / "results" / "benchmark" / "curves.csv").open(encoding="utf-8") as stream:
+        lines = list(csv.DictReader(stream))
     tasks = dict.fromkeys(one["task"] for one in lines)
     tones = (WARM, INK, ACCENT, SOFT, LINE, "#7048e8", "#2b8a3e", "#e8590c", "#d6336c", "#a98467")
-    for task, tone in zip(tasks, tones[: len(tasks)], strict=True):
-        mine = [one for one in lines if one["task"] == task]
-        for n, seed in enumerate(sorted({one["seed"] for one in mine})):
-            told = [(int(r["steps"]), float(r["return"])) for r in mine if r["seed"] == seed]
-            name = {"label": task} if not n else {}
-            axes.plot(*np.transpose(told), color=tone, lw=0.9, alpha=0.7, **name)
-    axes.set_xlabel("steps of training, MaskablePPO, five seeds", color=SOFT)
+    tone = dict(zip(tasks, tones[: len(tasks)], strict=True))
+    named = set[str]()
+    for entry, task, seed in dict.fromkeys((r["entry"], r["task"], r["seed"]) for r in lines):
+        mine = [r for r in lines if (r["entry"], r["task"], r["seed"]) == (entry, task, seed)]
+        told = [(int(r["steps"]), float(r["return"])) for r in mine]
+        style = {"ls": "-" if entry == "MaskablePPO" else "--"}
+        name = {} if task in named else {"label": task}
+        named.add(task)
+        axes.plot(*np.transpose(told), color=tone[task], lw=0.9, alpha=0.7, **style, **name)
+    axes.set_xlabel("steps of training, MaskablePPO (lines) and DQN (broken lines)", color=SOFT)
     axes.set_ylabel("return, not discounted", color=SOFT)
     axes.legend(frameon=False, labelcolor=INK, fontsize=8, loc="upper left", bbox_to_anchor=(1, 1))
 

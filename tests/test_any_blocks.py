@@ -534,6 +534,12 @@ def test_blocks_that_no_face_lets_the_tool_hold_are_named_before_planning(
         l2a.build(needles, arm="ur5e")
     with pytest.raises(InputError, match=r"blocks it can hold; `tool=suction` holds all of them$"):
         l2a.build(Assembly(wall), arm="ur5e", tool="gripper")
+    # Fingers of a Panda are short enough for what is flat.
+    slats = Assembly((box_block("slat", [0.1, 0.0, 0.0], [0.14, 0.02, 0.01]),))
+    flat = r"slat: no two faces at most 77 mm apart and 21 mm deep for fingers', .*; "
+    other = "`arm=panda` holds all of them with `tool=gripper`"
+    with pytest.raises(InputError, match=flat + other):
+        check_held(get_arm("ur5e", "gripper"), pieces_of(slats), studs=True)
     check_held(UR5E, pieces_of(Assembly(wall)))
     heavy = dataclasses.replace(wall[0], density=20_000.0)
     with pytest.raises(InputError, match=r"sill: 10\.00 kg is too heavy"):

@@ -29,6 +29,7 @@ from learn2assemble.robot.holding import LEAST_GRIP, PAD, STUD_ROOM, holds_of
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Move, Scene
 from learn2assemble.simulation.dry_run import play
+from learn2assemble.statics.proofs import CLUTCH
 from learn2assemble.viewer.arm import arm_section, object_name
 from learn2assemble.viewer.errors import MOST, truth_data
 from learn2assemble.viewer.playback import Playback
@@ -72,6 +73,18 @@ def test_what_tips_when_it_is_pressed_is_built_beside() -> None:
     assert states.stands(three | {3})
     assert not states.stands_pressed([3], three)
     assert states.stands_pressed([2, 3], frozenset({0, 1}))
+
+
+def test_steps_of_an_arm_are_proven_also_in_the_order_in_which_bricks_are_listed() -> None:
+    """Of cells: the plan of the arm says as much of the design as that without one."""
+    cells = np.ones((2, 1, 2), bool)
+    alone = l2a.build(cells, kit="lego")
+    plan = l2a.build(cells, kit="lego", arm="panda", physics="kinematic")
+    assert plan.complete, plan.reason
+    assert (plan.kit, plan.cells) == (alone.kit, alone.cells)
+    assert plan.without_margin == alone.without_margin == 0
+    assert [step.proof for step in plan.steps] == [CLUTCH] * len(plan.steps)
+    assert plan.margin_g == pytest.approx(alone.margin_g, rel=1e-3)
 
 
 @pytest.fixture(scope="module")

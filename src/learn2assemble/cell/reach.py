@@ -46,7 +46,7 @@ from learn2assemble.robot.approach import ApproachCache
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.bodies import Shape
 from learn2assemble.robot.grasps import Attitude
-from learn2assemble.robot.holding import attitude, too_wide, ways_to_turn, why_not_held
+from learn2assemble.robot.holding import attitude, no_faces, ways_to_turn, why_not_held
 from learn2assemble.robot.inverse import RESTARTS, solve
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.kinematics import forward, get_chain
@@ -58,7 +58,7 @@ from learn2assemble.robot.moves import (
     turned,
     turns,
 )
-from learn2assemble.robot.registry import TOOLS
+from learn2assemble.robot.registry import ARMS, TOOLS
 from learn2assemble.values import rounded
 
 if TYPE_CHECKING:
@@ -293,12 +293,19 @@ def check_held(arm: Arm, pieces: Sequence[Piece], studs: bool = False) -> None:
     more = f" (and {len(words) - 6} more reasons)" if len(words) > 6 else ""
     others = {} if studs else with_other_tools(arm)
     other = next((tool for tool, one in others.items() if not _not_held(one, pieces)), None)
+    helps = f"`tool={other}` holds all of them" if other else "no other tool holds all of them"
+    if not other and (arms := [name for name in ARMS if _holds_all(name, arm, pieces)]):
+        helps = f"`arm={arms[0]}` holds all of them with `tool={arm.tool_name}`"
     raise InputError(
-        f"tool {arm.tool_name}",
-        "; ".join(words[:6]) + more,
-        "blocks it can hold; "
-        + (f"`tool={other}` holds all of them" if other else "no other tool holds all of them"),
+        f"tool {arm.tool_name}", "; ".join(words[:6]) + more, f"blocks it can hold; {helps}"
     )
+
+
+def _holds_all(name: str, arm: Arm, pieces: Sequence[Piece]) -> bool:
+    """Whether another arm, with the tool of this one, holds all blocks."""
+    with suppress(InputError):  # It may not have such a tool.
+        return name != arm.name and not _not_held(get_arm(name, arm.tool_name), pieces)
+    return False
 
 
 def with_other_tools(arm: Arm) -> dict[str, Arm]:
@@ -336,7 +343,7 @@ def why_not_turned(arm: Arm, piece: Piece) -> str | None:
     ):
         return why
     if arm.suction is None:
-        return too_wide(arm, piece.shape)
+        return no_faces(arm, piece.shape)
     size = " x ".join(f"{2e3 * side:g}" for side in piece.half.round(7))
     return f"a block of {size} mm has no face for the cup both as it waits and as it shall stand"
 

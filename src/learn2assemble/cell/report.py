@@ -248,7 +248,9 @@ def carried_out(
         done = [step for step in proven if step in done]
     else:
         done.sort(key=lambda step: last[step][0] if step in last else -1)
-    same, standing, covered, before = done == list(proven), set[int](), 0.0, 0.0
+    # What is only listed, not proven, has to be: of bricks an arm finds the order.
+    same = done == list(proven) and all(step.proof for step in moved)
+    standing, covered, before = set[int](), 0.0, 0.0
     steps: list[Step] = []
     share = {s.block: 0.0 for s in moved}
     for step in moved:

@@ -250,7 +250,14 @@ def bricks_plan(
         return plan
     from learn2assemble.cell.carry_out import carry_out
 
-    ordered = replace(plan_for_arm(plan.assembly), design=plan.design, seconds=plan.seconds)
+    ordered = replace(
+        plan_for_arm(plan.assembly),
+        design=plan.design,
+        kit=plan.kit,
+        cells=plan.cells,
+        seconds=plan.seconds,
+        planning_s=plan.planning_s,
+    )
     return carry_out(ordered, _for_given(plan.assembly, workcell), joint=0.0, progress=progress)
 
 

@@ -326,7 +326,7 @@ def why_not_held(arm: Arm, shape: Shape, mass: float, axis: np.ndarray | None = 
     found = (hold for up in ups for hold in holds_of(arm, shape, up))
     if not any(axis is None or np.dot(hold.axis, axis) > math.cos(FACING) for hold in found):
         if cup is None:
-            return too_wide(arm, shape)
+            return no_faces(arm, shape)
         diameter = 1e3 * cup.cups[0].diameter
         return f"a block of {_size(shape)} mm is too small for a cup of {diameter:g} mm"
     if cup is not None and mass > cup.payload:
@@ -334,13 +334,13 @@ def why_not_held(arm: Arm, shape: Shape, mass: float, axis: np.ndarray | None = 
     return None
 
 
-def too_wide(arm: Arm, shape: Shape) -> str:
-    """That fingers cannot take a block, in words."""
-    widest = 1e3 * (arm.gripper.max_width - ROOM)
-    words = f"is too wide for fingers that take {widest:.0f} mm, or too low"
+def no_faces(arm: Arm, shape: Shape) -> str:
+    """Why fingers cannot take a block, in words."""
+    gripper = arm.gripper
+    apart, deep = 1e3 * (gripper.max_width - ROOM), 1e3 * (gripper.tip + TIP_ROOM)
     if not _has_parallel_faces(shape):
-        words = "has no two parallel faces for fingers"
-    return f"a block of {_size(shape)} mm {words}"
+        return f"a block of {_size(shape)} mm has no two parallel faces for fingers"
+    return f"no two faces at most {apart:.0f} mm apart and {deep:.0f} mm deep for fingers"
 
 
 def _size(shape: Shape) -> str:

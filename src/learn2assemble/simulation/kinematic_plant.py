@@ -3,6 +3,7 @@ weighs anything, and nothing gives way."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -33,6 +34,9 @@ INTO, CARRIES = 1e-8, 0.1
 its way and the axis that parts the two, at least."""
 HALVINGS, LAST = 40, 0.02
 """How often the time of a contact is halved, and the share of a motion that tells its way."""
+
+STEP = 0.001
+"""What is lowered is looked at after so far, to find what it meets [m]."""
 
 
 class KinematicPlant(SimulatedCell):
@@ -161,9 +165,16 @@ class KinematicPlant(SimulatedCell):
         ends = motion.at(motion.seconds * np.array([1 - LAST, 1.0]))[0]
         way = forward(self.chain, ends[1])[0] - forward(self.chain, ends[0])[0]
         way = way / max(float(np.linalg.norm(way)), 1e-9)
-        low, high = begin, motion.seconds
-        if not self._rests(ends[1], way):
+        # Where two are deep in one another, what parts them is beside, not below.
+        both = motion.at(np.array([begin, motion.seconds]))[0]
+        first, last = (forward(self.chain, joints)[0] for joints in both)
+        steps = math.ceil(float(np.linalg.norm(last - first)) / STEP) + 1
+        times = np.linspace(begin, motion.seconds, steps + 1)
+        every = enumerate(motion.at(times)[0])
+        met = next((k for k, joints in every if self._rests(joints, way)), None)
+        if met is None:
             return None
+        low, high = float(times[max(met - 1, 0)]), float(times[met])
         for _ in range(HALVINGS):
             middle = (low + high) / 2
             joints = motion.at(np.array([middle]))[0][0]
