@@ -14,6 +14,7 @@ from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
 from learn2assemble.assembly.joints import Joint
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.bricks import BrickStates
+from learn2assemble.cell.reach import ReachReport
 from learn2assemble.cell.workcell import ROOMS
 from learn2assemble.errors import InputError
 from learn2assemble.export.robot_programs import export_program, read_program
@@ -278,3 +279,14 @@ def test_what_one_arm_finds_no_order_for_is_told_what_would_help(tmp_path: Path)
     assert held
     said = f"; without an arm, with hands it is built (`hands=`), which hold {held} times"
     assert (plan.reason or "").endswith(said)
+
+
+def test_what_is_asked_of_an_arm_that_its_build_does_not_take_is_refused() -> None:
+    """What it reaches of bricks is asked with the fingers that build them."""
+    found = l2a.reach(STAIR, arm="panda")
+    assert isinstance(found, ReachReport)
+    assert (found.tool, found.complete) == ("gripper", True)
+    with pytest.raises(InputError, match="cup does not hold on studs"):
+        l2a.reach(STAIR, arm="panda", tool="suction")
+    with pytest.raises(InputError, match="holds: got 2, expected none with one arm"):
+        l2a.build(STAIR, arm="panda", holds=2)

@@ -292,7 +292,9 @@ def check_held(arm: Arm, pieces: Sequence[Piece], studs: bool = False) -> None:
         words.append(f"{listed}: {why}")
     more = f" (and {len(words) - 6} more reasons)" if len(words) > 6 else ""
     others = {} if studs else with_other_tools(arm)
-    other = next((tool for tool, one in others.items() if not _not_held(one, pieces)), None)
+    # Another tool turns blocks from where they wait in other ways.
+    holds = (name for name, one in others.items() if not _not_held(one, with_rests(pieces, one)))
+    other = next(holds, None)
     helps = f"`tool={other}` holds all of them" if other else "no other tool holds all of them"
     if not other and (arms := [name for name in ARMS if _holds_all(name, arm, pieces)]):
         helps = f"`arm={arms[0]}` holds all of them with `tool={arm.tool_name}`"
@@ -304,7 +306,8 @@ def check_held(arm: Arm, pieces: Sequence[Piece], studs: bool = False) -> None:
 def _holds_all(name: str, arm: Arm, pieces: Sequence[Piece]) -> bool:
     """Whether another arm, with the tool of this one, holds all blocks."""
     with suppress(InputError):  # It may not have such a tool.
-        return name != arm.name and not _not_held(get_arm(name, arm.tool_name), pieces)
+        one = get_arm(name, arm.tool_name)
+        return name != arm.name and not _not_held(one, with_rests(pieces, one))
     return False
 
 

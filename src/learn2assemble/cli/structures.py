@@ -65,7 +65,9 @@ def _write_page(
     arg("design", metavar="DESIGN", help="a drawing, picture, mesh, voxels or blocks"),
     arg("--arm", action="append", required=True, help=f"{' or '.join(ARMS)}; twice for two arms"),
     arg(
-        "--tool", default="suction", help="suction (default), suction-side, suction-wide or gripper"
+        "--tool",
+        default=None,
+        help="suction (default), suction-side, suction-wide or gripper (default for bricks)",
     ),
     kit_argument,
     reading_arguments,

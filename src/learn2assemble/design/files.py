@@ -132,6 +132,8 @@ def kind_of(content: bytes, source: str) -> str:
         got = "a file packed with gzip"
     elif Path(source).suffix.casefold() == ".stl":
         got = f"{got}; its header says {facets} triangles"
+    elif Path(source).suffix.casefold() == ".txt" and content:
+        raise InputError(source, got, "brick text, with lines such as 4x2 (0,0,0)")
     raise InputError(
         source,
         got,

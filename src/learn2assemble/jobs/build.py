@@ -30,7 +30,6 @@ from learn2assemble.errors import (
     is_whole,
 )
 from learn2assemble.jobs.kinds import (
-    DEFAULT_TOOL,
     PHYSICS,
     PLANNED,
     ArmChoice,
@@ -45,6 +44,7 @@ from learn2assemble.jobs.kinds import (
     kit_of,
     team_plan,
     with_plates,
+    with_tools,
 )
 from learn2assemble.jobs.problems import NO_ARM, PROBLEMS
 from learn2assemble.planning.plan import Plan
@@ -227,6 +227,8 @@ def build(
     if how is not None:
         check_laid(found, kit, gap)
         how = how.read(found, kit)
+        if holds and not how.several and has_studs(found, kit):
+            raise InputError("holds", holds, "none with one arm, which has one hand")
     if how is not None and how.several:
         return _with_friction(team_plan(found, kit, how, help_, choice, given), friction)
     workcell = None if how is None else how.workcell(has_studs(found, kit))
@@ -255,7 +257,7 @@ def reach(
     design: str | Path | np.ndarray | CellDesign | Assembly,
     *,
     arm: str | Sequence[str],
-    tool: str = DEFAULT_TOOL,
+    tool: str | None = None,
     kit: str | Kit | None = None,
     layout: str | Path | Site | None = None,
     seconds: float | None = None,
@@ -267,7 +269,7 @@ def reach(
     Args:
         design, kit, reading, seconds: see :func:`build`; the exact planner chooses the blocks.
         arm: name of the arm, or of two.
-        tool: what it holds blocks with.
+        tool: what it holds blocks with, as in :func:`build`.
         layout: with the base that is asked about (``docs/layouts.md``).
 
     Raises:
@@ -278,14 +280,16 @@ def reach(
     _check_names(reach, reading)
     how = ArmChoice(arm_names(arm), tool, layout, PLANNED, (0.0, 0.0), None, 0)
     how.check()
-    workcell = how.workcell()
+    how.workcell()  # A layout that is wrong is said before anything is planned.
     plan = build(design, planner="exact", kit=kit, seconds=seconds, **reading)
+    studs = plan.assembly is not None and has_studs(plan.assembly, None)
     if how.several:
         from learn2assemble.cell.team import report_team
 
-        return report_team(plan, how.team()[0])
+        return report_team(plan, with_tools(how.team()[0], studs))
     from learn2assemble.cell.reach import report_reach
 
+    workcell = how.workcell(studs)
     return report_reach(plan, workcell.arm, workcell.tool, workcell.site)
 
 

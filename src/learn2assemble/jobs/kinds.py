@@ -134,6 +134,11 @@ def _tool_for_studs(tool: str | None) -> str:
     return FINGERS
 
 
+def with_tools(arms: list[SiteArm], studs: bool) -> list[SiteArm]:
+    """The arms; where blocks have studs, with what holds these."""
+    return [one._replace(tool=_tool_for_studs(one.tool)) for one in arms] if studs else arms
+
+
 def check_asked(
     design: Assembly | CellDesign | Goals, kit: Kit | None, help_: Help, planner: str
 ) -> None:
@@ -334,9 +339,9 @@ def team_plan(
 
     if isinstance(design, Goals):
         raise InputError("goals", f"{len(how.arms)} arms", "one arm, or a design")
+    studs = has_studs(design, kit)
     arms, site = how.team()
-    if studs := has_studs(design, kit):
-        arms = [one._replace(tool=_tool_for_studs(one.tool)) for one in arms]
+    arms = with_tools(arms, studs)
     options = {name: value for name, value in given.items() if name != "progress"}
     posts, progress = help_.supports != "none", given["progress"]
     if site.cameras:
