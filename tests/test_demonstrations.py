@@ -166,11 +166,11 @@ def test_behaviour_is_cloned(tmp_path: Path) -> None:
     """The example learns from a few episodes, and writes an entry that can be checked."""
     from learn2assemble.envs.submission import check
 
-    demonstrate(TASK, tmp_path, episodes=40)
+    demonstrate(TASK, tmp_path, episodes=10)
     script = Path(__file__).parents[1] / "examples" / "benchmark" / "behaviour_cloning.py"
     entry = tmp_path / "cloned.jsonl.gz"
-    words = [sys.executable, str(script), str(tmp_path), str(entry), "1", "2"]
+    words = [sys.executable, str(script), str(tmp_path), str(entry), "1", "1"]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert not done.returncode, done.stderr
-    assert "40 episodes" in done.stdout
-    assert check(entry).entry == "behaviour cloning (40 episodes)"
+    assert "10 episodes" in done.stdout
+    assert check(entry).entry == "behaviour cloning (10 episodes)"

@@ -238,9 +238,8 @@ def test_a_prop_under_a_load_that_is_too_heavy_comes_off_and_the_report_says_so(
 def bridge() -> tuple[Plan, Kit]:
     """A bridge whose deck takes a prop until it stands by itself."""
     kit = load_kit("bricks").at_pitch((0.04, 0.04, 0.04))
-    cells = CellDesign(
-        "bridge", wall(14, 1, 6, (4, 10, 0, 2)), kit.pitch, None, 0.0, None, "", None
-    )
+    arch = wall(10, 1, 4, (3, 7, 0, 2))
+    cells = CellDesign("bridge", arch, kit.pitch, None, 0.0, None, "", None)
     plan = plan_cells(cells, kit, seconds=600)
     assert plan.complete
     assert any(step.action == "remove" for step in plan.steps)
@@ -330,7 +329,7 @@ def assert_built(plan: Plan) -> None:
     assert [block.prop for block in assembly.blocks] == (~there).tolist()
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.7, 2.5])
+@pytest.mark.parametrize("angle", [0.0, 2.5])
 @pytest.mark.parametrize(
     ("script", "function", "arguments"),
     [

@@ -184,7 +184,7 @@ def test_no_order_has_fewer_moves_than_the_bound():
         old, new = random_bricks(rng), random_bricks(rng)
         if old is None or new is None:
             continue
-        if len(standing(old).blocks) + len(standing(new).blocks) > 13:
+        if len(standing(old).blocks) + len(standing(new).blocks) > 11:
             continue
         best, plan = fewest(standing(old), new), rebuild(standing(old), new)
         assert plan.rebuilt is not None

@@ -224,7 +224,7 @@ def test_two_arms_build_together(crew: Pair) -> None:
 def test_two_arms_build_where_readings_are_not_exact() -> None:
     """It takes time to see a block that is presented, and both want the same one."""
     noise = Noise(5e-4, np.radians(0.2), 5e-4, missing=0.02)
-    found = crew_for(design(10, 2, 2), Workcell("ur5e", noise=noise, seed=1))
+    found = crew_for(design(8, 2, 2), Workcell("ur5e", noise=noise, seed=1))
     both = Together(found, WatchedCell)
     announced = counted(both.traffic)
     assert both.run() is None
@@ -471,7 +471,7 @@ def test_a_build_of_which_an_arm_was_stopped_while_it_pressed_goes_on(
 KIT = load_kit("bricks")
 
 
-COUNT = 10
+COUNT = 7
 """Blocks of the wall."""
 STOP = 1, 12.0
 """The arm that is stopped, and when [s]."""
@@ -479,7 +479,7 @@ STOP = 1, 12.0
 
 @pytest.fixture(scope="module")
 def planned() -> tuple[Plan, list[Member]]:
-    design = CellDesign("wall", wall(10, 2, 3), KIT.pitch, None, 0.0, None, "", None)
+    design = CellDesign("wall", wall(10, 2, 2), KIT.pitch, None, 0.0, None, "", None)
     plan = plan_cells(design, KIT)
     assert plan.assembly is not None
     members = set_up_team(plan.assembly, [SiteArm(a, a) for a in ("ur5e", "panda")], Site())
