@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from contextlib import suppress
+from typing import NoReturn
 
 INTERRUPTED = 130
 """Exit code of a program that a signal has ended: 128 and the number of the signal."""
@@ -23,9 +25,17 @@ def run() -> int:
 
     code = main()
     if code == INTERRUPTED:
-        # What an interrupt left half made may fail as Python ends: nobody is to hear of it.
-        sys.unraisablehook = lambda _: None
+        end(code)
     return code
+
+
+def end(code: int) -> NoReturn:
+    """End at once with what has been written: libraries that an interrupt met half way may fail,
+    or crash, as Python tidies up."""
+    with suppress(OSError):  # Whoever reads may have gone.
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(code)
 
 
 if __name__ == "__main__":

@@ -254,7 +254,8 @@ def _mesh_blocks(
     kind = mesh_kind(content)
     if kind == "obj" and not any(line[:2] == b"v " for line in content.splitlines()):
         got = "an unknown format" if content.strip() else "an empty file"
-        raise InputError(source, got, "JSON or a mesh (STL, OBJ, PLY, OFF, GLB)")
+        meshes = "a mesh (STL, OBJ, PLY, OFF, GLB)"
+        raise InputError(source, got, f"JSON, LDraw, brick text (as 4x2 (0,0,0)) or {meshes}")
     objects = list[tuple[str, np.ndarray, list[list[int]]]]()
     for part in read_parts(content, kind, source):
         mesh: Any = trimesh.Trimesh(part.vertices, part.faces, process=False)
