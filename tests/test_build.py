@@ -300,8 +300,13 @@ def test_the_files_of_a_build_open(built: Plan, tmp_path: Path) -> None:
     assert Playback(again.records, again).duration == pytest.approx(built.arm.seconds, abs=0.1)
 
 
-def test_the_same_seed_gives_the_same_build() -> None:
-    plans = [build_task("robot-two-sided-3x3-10-14", seed=1) for _ in range(2)]
+@pytest.fixture(scope="module")
+def short() -> Plan:
+    return build_task("robot-two-sided-3x3-10-14", seed=1)
+
+
+def test_the_same_seed_gives_the_same_build(short: Plan) -> None:
+    plans = [short, build_task("robot-two-sided-3x3-10-14", seed=1)]
     assert plans[0].steps == plans[1].steps
     first, second = (plan.record for plan in plans)
     assert first is not None
@@ -404,12 +409,11 @@ def test_what_stands_stays_and_what_was_knocked_over_waits() -> None:
     assert not left.terminated[0]
 
 
-def test_open_loop_motions_give_the_same_structure() -> None:
+def test_open_loop_motions_give_the_same_structure(short: Plan) -> None:
     """The recorded motions alone, sent to a fresh cell without looking, build the same."""
-    plan = build_task("robot-two-sided-3x3-10-14", seed=1)
-    record = plan.record
+    record = short.record
     assert record is not None
-    assert plan.status == "complete"
+    assert short.status == "complete"
     run = play(make_program(record, PANDA), PANDA)
     assert run.error.max() < 1e-3
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import learn2assemble as l2a
+from cell_shapes import wall
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.files import from_json, read_assembly, to_json
@@ -155,7 +156,6 @@ def test_a_plan_says_how_long_one_waits(tmp_path) -> None:
 
 # Drawn designs in mortar: filled, ordered and proven by the law of the kit.
 
-WINDOW = Path(__file__).resolve().parents[1] / "examples" / "designs" / "window.svg"
 BRICKS = load_kit("bricks-mortar")
 SET = 72.0
 
@@ -192,7 +192,7 @@ def built(plan: Plan) -> Assembly:
 
 
 def test_a_wall_with_a_window_has_no_lintel() -> None:
-    plan = l2a.build(WINDOW, kit=BRICKS)
+    plan = l2a.build(wall(8, 1, 5, (2, 6, 1, 3)), kit=BRICKS)
     made = built(plan)
     assert plan.cells is not None
     assert (plan.cells.missing, plan.cells.outside) == (0, 0)

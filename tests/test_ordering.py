@@ -502,18 +502,18 @@ def test_a_region_is_decided_again_and_the_rest_stays() -> None:
 
 def test_a_deck_that_no_bricks_carry_is_told_apart_from_one_that_is_proven_to_fall() -> None:
     """Without friction it falls; forces with friction balance it, elastic joints do not."""
-    tiling, ordering = plan_exact(wall(12, 2, 4, (3, 9, 0, 2)), load_kit("bricks"), seconds=600)
+    tiling, ordering = plan_exact(wall(12, 2, 5, (3, 9, 0, 3)), load_kit("bricks"), seconds=600)
     assert ordering is None
     assert tiling.status == "not found"
-    assert "carries 4 cells in a row at level 2" in tiling.reason
+    assert "carries 4 cells in a row at level 3" in tiling.reason
     assert "the finished building would fall" in tiling.reason
 
 
-@pytest.mark.parametrize("name", ["blob-1", "dome-lean", "dome-thin", "table"])
+@pytest.mark.parametrize("name", ["blob-1", "dome-thin", "table"])
 def test_what_no_tiling_carries_is_refused(name: str) -> None:
     tiling, ordering = plan_exact(SHAPES[name], LINTELS, seconds=300)
     assert ordering is None
-    assert tiling.status == ("not found" if name == "dome-lean" else "refused")
+    assert tiling.status == "refused"
     assert "the finished building would fall" in tiling.reason
 
 

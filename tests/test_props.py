@@ -269,13 +269,12 @@ def test_props_of_a_bridge_are_taken_away(bridge: tuple[Plan, Kit], arm: str) ->
     )
 
 
-def test_what_no_tool_does_is_said(
-    bridge: tuple[Plan, Kit], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A wall close in front of the bridge, on the side of the arm."""
-    plan, kit = bridge
-    wall = Obstacle((0.0, -0.1), (0.6, 0.02, 0.5))
-    workcell = Workcell("panda", site=Site(base=(0.0, -0.5, 0.0, math.pi / 2), obstacles=(wall,)))
+def test_what_no_tool_does_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A high wall close in front of a row of bricks, on the side of the arm."""
+    kit = load_kit("bricks").at_pitch((0.04, 0.04, 0.04))
+    plan = plan_cells(CellDesign("row", wall(8, 1, 1), kit.pitch, None, 0.0, None, "", None), kit)
+    front = Obstacle((0.0, -0.1), (0.6, 0.02, 0.5))
+    workcell = Workcell("panda", site=Site(base=(0.0, -0.5, 0.0, math.pi / 2), obstacles=(front,)))
     said = advise(plan, workcell, kit.joint_gap, lambda text: None)
     assert said == "no other tool of the arm does: suction-side, suction-wide, gripper"
     monkeypatch.setattr("learn2assemble.cell.carry_out.MOST_STEPS", len(plan.steps) - 1)

@@ -131,8 +131,9 @@ def test_a_script_writes_its_assembly_and_a_plan_with_page_and_picture(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(sys, "argv", [name, str(tmp_path / "out"), *words])
-    # Whether it is built is told elsewhere; large ones take longer than a test has.
-    monkeypatch.setattr(l2a, "build", partial(l2a.build, seconds=1))
+    # Whether it is built is told elsewhere; large ones take longer than a test has, and so does it
+    # to look for all their posts.
+    monkeypatch.setattr(l2a, "build", partial(l2a.build, seconds=0.2, supports="none"))
     runpy.run_path(str(SCRIPTS / f"{name}.py"), run_name="__main__")
     assert "falls" not in capsys.readouterr().out.splitlines()[0]
     plans = sorted((tmp_path / "out").rglob("plan.json"))

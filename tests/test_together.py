@@ -375,9 +375,9 @@ def test_what_comes_before_a_block_is_lower_and_near(crew: Pair) -> None:
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """A wall of ten blocks by the command, and what that says."""
+    """A wall of five blocks by the command, and what that says."""
     folder = tmp_path_factory.mktemp("two")
-    np.save(folder / "wall.npy", wall(10, 2, 3))
+    np.save(folder / "wall.npy", wall(8, 2, 2))
     said = io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO()):
         code = main(
