@@ -186,7 +186,7 @@ def test_flat_actions_are_a_numbering(name: str, data) -> None:
     assert [x.tolist() for x in pair] == [[i, 0], [j, 0], [k, 0]]
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(some_preset, st.integers(0, 2**32), st.integers(0, 12))
 def test_masks_say_what_every_action_does(name: str, seed: int, steps: int) -> None:
     env = make(name)

@@ -223,11 +223,11 @@ def test_the_video_opens_and_has_its_length_and_size(
     film: Frames, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     av = pytest.importorskip("av")
-    monkeypatch.setattr("learn2assemble.viewer.video.SPEED", 40.0)
+    monkeypatch.setattr("learn2assemble.viewer.video.SPEED", 20.0)
     plan, record = arm_plan(COUNT), arm_record("panda", COUNT)
     for name in ("a.mp4", "b.mp4"):
         write_video(plan, (record,), tmp_path / name)
-    clocks = moments(film.playback.duration, 40)
+    clocks = moments(film.playback.duration, 20)
     with av.open(str(tmp_path / "a.mp4")) as file:
         stream = file.streams.video[0]
         assert (stream.codec_context.name, stream.average_rate) == ("h264", FRAMES_PER_SECOND)
