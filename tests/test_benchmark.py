@@ -498,6 +498,17 @@ def test_another_library_enters(tmp_path: Path) -> None:
     assert [one.task for one in check(tmp_path / "goals.jsonl.gz").played] == goals
 
 
+def test_a_learner_without_a_library_enters(tmp_path: Path) -> None:
+    """As long as it takes to learn some steps; two seeds are two runs."""
+    words = ["dqn.jsonl.gz", "2", "goals-cantilever=1020"]
+    (tmp_path / "one.py").write_text(
+        f"import runpy, sys\nsys.argv[1:] = {words}\n"
+        f"runpy.run_path({str(OUTSIDERS / 'dqn.py')!r}, run_name='__main__')\n"
+    )
+    run_script(tmp_path / "one.py", cwd=tmp_path)
+    assert {one.run for one in check(tmp_path / "dqn.jsonl.gz").played} == {0, 1}
+
+
 # ---------------------------------------------------------------- pictures
 
 
