@@ -509,11 +509,11 @@ def test_a_deck_that_no_bricks_carry_is_told_apart_from_one_that_is_proven_to_fa
     assert "the finished building would fall" in tiling.reason
 
 
-@pytest.mark.parametrize("name", ["blob-1", "dome-thin", "table"])
+@pytest.mark.parametrize("name", ["blob-1", "dome-lean", "dome-thin", "table"])
 def test_what_no_tiling_carries_is_refused(name: str) -> None:
     tiling, ordering = plan_exact(SHAPES[name], LINTELS, seconds=300)
     assert ordering is None
-    assert tiling.status == "refused"
+    assert tiling.status == ("not found" if name == "dome-lean" else "refused")
     assert "the finished building would fall" in tiling.reason
 
 

@@ -253,11 +253,11 @@ def cut_often(cell: Cell, state: Path, span: float, times: int) -> Cuts:
 
 
 @pytest.mark.slow
-def test_the_connection_is_cut_three_times(fake: Fake, tmp_path: Path) -> None:
+def test_the_connection_is_cut_five_times(fake: Fake, tmp_path: Path) -> None:
     """A hundred bricks and ten cuts take minutes: ``python tests/test_run.py``."""
     cell = Cell(fake, *wall(6, 3, 1))
-    cuts = cut_often(cell, tmp_path / "run.jsonl", 4.5, 3)
-    assert cuts.good == 3, cuts  # All of them come before everything is done.
+    cuts = cut_often(cell, tmp_path / "run.jsonl", 4.5, 5)
+    assert cuts.good >= 4, cuts  # The last ones may come when everything is done.
     # None was placed twice; one that had been let go when the connection was cut is counted by no
     # run, and stands all the same.
     assert cuts.placed <= len(cell.job.pieces)

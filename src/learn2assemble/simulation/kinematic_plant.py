@@ -34,7 +34,6 @@ INTO, CARRIES = 1e-8, 0.1
 its way and the axis that parts the two, at least."""
 HALVINGS, LAST = 40, 0.02
 """How often the time of a contact is halved, and the share of a motion that tells its way."""
-
 STEP = 0.001
 """What is lowered is looked at after so far, to find what it meets [m]."""
 
@@ -162,12 +161,10 @@ class KinematicPlant(SimulatedCell):
         """When what is lowered meets something below it [s]; None: it does not."""
         if self.hand is None:
             return None
-        ends = motion.at(motion.seconds * np.array([1 - LAST, 1.0]))[0]
-        way = forward(self.chain, ends[1])[0] - forward(self.chain, ends[0])[0]
-        way = way / max(float(np.linalg.norm(way)), 1e-9)
-        # Where two are deep in one another, what parts them is beside, not below.
-        both = motion.at(np.array([begin, motion.seconds]))[0]
-        first, last = (forward(self.chain, joints)[0] for joints in both)
+        told = np.array([begin, motion.seconds * (1 - LAST), motion.seconds])
+        first, near, last = (forward(self.chain, joints)[0] for joints in motion.at(told)[0])
+        way = (last - near) / max(float(np.linalg.norm(last - near)), 1e-9)
+        # In steps: where two are deep in one another, what parts them is beside, not below.
         steps = math.ceil(float(np.linalg.norm(last - first)) / STEP) + 1
         times = np.linspace(begin, motion.seconds, steps + 1)
         every = enumerate(motion.at(times)[0])
