@@ -190,13 +190,13 @@ def test_the_simulation_tells_what_stands() -> None:
 
 
 def test_every_kind_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sensing, "SAMPLES", 1)
+    monkeypatch.setattr(sensing, "SAMPLES", 2)
     rig = "one camera"
     alone = sensing.entry(f"alone/{sensing.BRICKS}/{rig}")
-    assert alone["seen"] == 1
+    assert alone["seen"] == 2
     assert alone["mm"][0] < 1
     lost = sensing.entry(f"lost/two bricks beside a wall/{rig}")
-    assert lost["samples"] == 1 >= lost["found"] >= lost["wrong"] == 0
+    assert lost["samples"] == 2 >= lost["found"] >= lost["wrong"] == 0
     once = sensing.entry(f"calibrated/0/{rig}")
     assert once["after_mm"] < 3 < once["before_mm"]
     look = sensing.entry(f"look/40 bricks/{rig}")
