@@ -90,7 +90,8 @@ def test_the_page_says_what_a_hand_does(folders: dict[str, Path]) -> None:
     hold, release = first(assembly, "hold"), first(assembly, "release")
     id_ = assembly.steps[hold - 1].block
     assert caption(page, hold).startswith(
-        f"Hold block {id_} (a hand keeps it in its place). Stands: joints that weight presses."
+        f"Hold block {id_} (a hand keeps it in its place). "
+        "Stands: on joints that weight presses, with friction."
     )
     assert f"Still in a hand: {id_}." in caption(page, hold + 1)
     assert caption(page, release).startswith(
@@ -354,7 +355,7 @@ def test_level_joints_keep_their_name(tmp_path: Path) -> None:
     plan = plan_assembly(Assembly((block,)))
     steps = tuple(step.with_proof(BED, 0.1) for step in plan.steps)
     replace(plan, steps=steps).save(tmp_path)
-    assert f"|{BED}|" in visible_text((tmp_path / "view.html").read_text())
+    assert "|on bed faces, with friction|" in visible_text((tmp_path / "view.html").read_text())
 
 
 @pytest.mark.parametrize("source", ["assembly.json", "plan"])

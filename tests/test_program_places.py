@@ -20,9 +20,10 @@ from learn2assemble.errors import InputError
 from learn2assemble.export.place_words import in_base, plain
 from learn2assemble.export.robot_programs import export_program, read_program, replay_program
 from learn2assemble.export.urscript import planned_frame, write_urscript
+from learn2assemble.geometry.rotations import quaternion_product, yaw_quaternion
 from learn2assemble.motion.driver import arm_of
 from learn2assemble.motion.files import read_record, record_data, record_from
-from learn2assemble.motion.places import half_turn, ranges, step_numbers, supplied
+from learn2assemble.motion.places import half_turn, put_turn, ranges, step_numbers, supplied
 from learn2assemble.motion.program import Program, Supply, make_program
 from learn2assemble.motion.record import BuildRecord
 from learn2assemble.motion.settings import ProgramSettings
@@ -183,6 +184,26 @@ def test_a_side_has_no_beginning() -> None:
     assert half_turn(np.pi / 2) == pytest.approx(np.pi / 2)
     assert ranges([1, 2, 3, 5, 6, 9]) == "1 to 3, 5, 6, 9"
     assert plain('a "b"\nü #4') == "a 'b' ? No 4"
+
+
+def test_a_step_says_how_its_block_is_turned(record: BuildRecord, built: Plan, script: str) -> None:
+    """By the long side, as places do: against the corners of the block in the plan."""
+    assert built.assembly is not None
+    blocks = {block.id: block for block in built.assembly.blocks}
+    comments = [lines[0] for lines in steps_of(script)]
+    for comment in comments:
+        edges = np.ptp(blocks[comment.split()[1]].vertices, axis=0)
+        turn = float(comment.split("turn ")[1].split()[0])
+        assert turn == (90.0 if edges[1] > edges[0] + 1e-6 else 0.0), comment
+    half = record.half
+    assert half is not None
+    step = max(record.steps, key=lambda one: float(np.ptp(half[one.cells[0]][:2])))
+    before = put_turn(record, step)
+    for angle in (np.pi / 6, -np.pi / 3):
+        spin = yaw_quaternion(angle)
+        target = np.concatenate([step.target[:3], quaternion_product(spin, step.target[3:])])
+        turned = put_turn(record, replace(step, target=target))
+        assert turned == pytest.approx(half_turn(before + angle), abs=1e-6)
 
 
 # ---------------------------------------------------------------- who refills

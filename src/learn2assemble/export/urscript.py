@@ -268,7 +268,9 @@ def _step_words(program: Program, step: ProgramStep) -> str:
         said = said.replace(":", f", an attempt at step {step.plan_step} of the plan:", 1)
     where = "where it was put before" if step.pick is None else f"place {step.pick.place}"
     x, y, z = (np.round(1000 * step.target[:3], 1) + 0.0).tolist()
-    said += f" from {where} to x {x:.1f}, y {y:.1f}, z {z:.1f} mm (world)"
+    said += f" from {where} to x {x:.1f}, y {y:.1f}, z {z:.1f} mm"
+    said += "" if step.turn is None else f", turn {np.round(np.degrees(step.turn), 1) + 0.0:.1f}"
+    said += " (world)"
     return plain(said + " (failed in the build)" * (not step.reached))
 
 

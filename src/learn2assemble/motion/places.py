@@ -166,6 +166,15 @@ def _lying(record: BuildRecord, number: int, step: StepRecord) -> PickPlace:
     )
 
 
+def put_turn(record: BuildRecord, step: StepRecord) -> float:
+    """Direction of the long side of the block of a step where that shall put it, as
+    :attr:`PickPlace.turn` of where it waits [rad]."""
+    cells, poses, here = step.cells, step.before, step.before[step.cells[0]]
+    points = np.concatenate([_corners(record, cell, poses[cell]) for cell in cells])
+    turn = quaternion_matrix(step.target[3:]) @ quaternion_matrix(here[3:]).T
+    return _box(step.target[:3] + (points - here[:3]) @ turn.T)[2]
+
+
 def _listed(places: list[PickPlace], here: PickPlace, number: int, refill: bool) -> int:
     """The number of the place of a block, which is added to the list of its blocks.
 

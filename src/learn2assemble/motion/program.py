@@ -24,7 +24,14 @@ from learn2assemble.geometry.rotations import (
     quaternion_matrix,
 )
 from learn2assemble.motion.knots import REST, Knots, fit, slow_down
-from learn2assemble.motion.places import Pick, PickPlace, name_of, step_numbers, supplied
+from learn2assemble.motion.places import (
+    Pick,
+    PickPlace,
+    name_of,
+    put_turn,
+    step_numbers,
+    supplied,
+)
 from learn2assemble.motion.record import (
     BuildRecord,
     ByHand,
@@ -89,6 +96,9 @@ class ProgramStep(NamedTuple):
     """The step of the plan that it carries out, or tries to."""
     pick: Pick | None = None
     """Where its block waits; None: at no place of :attr:`Program.places`."""
+    turn: float | None = None
+    """Direction of the long side of its block where it shall stand, as the turn of a place [rad];
+    None: not told by a program that was read from a file."""
 
 
 class Supply(NamedTuple):
@@ -274,7 +284,7 @@ def _as_planned(program: Program, record: BuildRecord) -> Program:
     """The program with steps and blocks called as in the plan, and the places of its blocks."""
     numbers, told = np.array(step_numbers(record)), supplied(record)
     steps = tuple(
-        step._replace(number=number, plan_step=one.plan_step, pick=pick)
+        step._replace(number=number, plan_step=one.plan_step, pick=pick, turn=put_turn(record, one))
         for step, one, number, pick in zip(
             program.steps, record.steps, numbers.tolist(), told.picks, strict=True
         )

@@ -48,7 +48,7 @@ STEP_HEAD = (
     "Nominal size",
     "Layer",
     "Block",
-    "Proof",
+    "Stands",
     "Push [N]",
     "Push [g]",
     "Tilt [°]",

@@ -41,11 +41,21 @@ def proof_words(proof: str, leaning: bool) -> str:
         leaning: whether blocks have joints that lean, such as those of an arch.
     """
     # These load compiled code.
-    from learn2assemble.statics.proofs import BED
+    from learn2assemble.statics import proofs
 
-    if proof == BED and leaning:
-        return "joints that weight presses"
-    return proof
+    if proof == proofs.BED and leaning:
+        return "on joints that weight presses, with friction"
+    return {
+        proofs.LOCAL: "on bed faces alone, whatever the friction",
+        proofs.PROGRAM: "on bed faces alone, whatever the friction",
+        proofs.FRICTIONLESS: "on bed faces alone, without friction",
+        proofs.BED: "on bed faces, with friction",
+        proofs.TIGHT: "only where side faces touch",
+        proofs.POINTS: "also on edges and points, with friction",
+        proofs.CLUTCH: "by joints that hold",
+        proofs.CLUTCH_TIGHT: "by joints that hold, only where side faces touch",
+        proofs.MORTAR: "by mortar that holds",
+    }.get(proof, proof)
 
 
 def weakest_words(plan: Plan) -> str:
