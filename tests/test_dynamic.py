@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.benchmark import build_wall
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, SimulationDivergedError
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.grasps import Attitude, get_grasps
 from learn2assemble.robot.kinematics import forward, get_chain
@@ -33,12 +33,7 @@ from learn2assemble.simulation.execution import Execution, Rig
 from learn2assemble.simulation.model import TIMESTEP, Failure, take_order
 from learn2assemble.simulation.prepare import prepare
 from learn2assemble.simulation.rest import ONE_SIDED, ShiftRule, check_rest
-from learn2assemble.simulation.simulation import (
-    SimulatedState,
-    Simulation,
-    SimulationDivergedError,
-    Trace,
-)
+from learn2assemble.simulation.simulation import SimulatedState, Simulation, Trace
 from learn2assemble.simulation.ways import WorldChecker
 from robot_scenes import GROUND, PITCH, cell, scene
 

@@ -34,17 +34,15 @@ from learn2assemble.cli.parser import L2A, CommandLine, make_parser
 from learn2assemble.errors import InputError
 from learn2assemble.files import (
     MAX_BYTES,
-    MAX_DEPTH,
     append_line,
     check_new,
     claim_folder,
-    load_json,
     read_bytes,
     read_json_lines,
     replacing,
     write_file,
 )
-from learn2assemble.values import Range, from_plain, to_plain
+from learn2assemble.values import MAX_DEPTH, Range, from_plain, load_json, to_plain
 
 WALL = str(Path(__file__).parent / "data" / "example_plan" / "assembly.json")
 """An assembly that can be checked."""

@@ -14,6 +14,7 @@ import re
 from collections.abc import Callable, Collection, Generator, Hashable, Iterable, Mapping
 from contextlib import contextmanager
 from numbers import Integral, Real
+from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 T = TypeVar("T")
@@ -21,6 +22,11 @@ MANY, NEAREST = 20, 6
 """Of more valid names than this, a message shows only so many of the nearest."""
 CLOSE = 0.6
 """A name as alike as this (`difflib`) may have been meant, others have not."""
+
+
+def printable(source: str) -> str:
+    """A file name fit for a one-line message: line breaks and undecodable bytes are escaped."""
+    return source if source.isprintable() else ascii(source)
 
 
 class Learn2AssembleError(Exception):
@@ -192,6 +198,23 @@ _SIMPLE: dict[str, tuple[Callable[[object], bool], str]] = {
     "str": (lambda value: isinstance(value, str), "a word"),
 }
 """Types of fields as they are written, whether a value is of one, and what is expected."""
+
+
+class SimulationDivergedError(Learn2AssembleError, ArithmeticError):
+    """Some position or velocity is not finite any more.
+
+    Args:
+        time: since the attempt began [s].
+        folder: has ``scene.xml``, the model, and ``state.npz``: ``qpos``, ``qvel``, ``ctrl``,
+            ``time``, ``stage`` and ``began``, the poses of the objects at the beginning.
+    """
+
+    time: float
+    folder: Path
+
+    def __init__(self, time: float, folder: Path) -> None:
+        super().__init__(f"simulation diverged at {time:.3f} s; model and state are in {folder}")
+        self.time, self.folder = time, folder
 
 
 class MissingExtraError(Learn2AssembleError, ImportError):

@@ -7,7 +7,9 @@ path of whatever is wrong in it.
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
+import re
 import sys
 import types
 import typing
@@ -17,9 +19,14 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, cast
 
 import numpy as np
 
-from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.errors import InputError, UnknownNameError, printable
 
 T = TypeVar("T")
+MAX_DEPTH = 32
+"""Brackets within brackets."""
+_TOKENS = re.compile(r'"(?:[^"\\]|\\.)*"|[\[{]|[\]}]')
+_SUSPICIOUS = re.compile(r"NaN|Infinity|[eE]\+?0*[1-9][0-9]{2}|[0-9]{309}")
+"""Occurs in every number that is not finite in float64."""
 
 
 def rounded(value: float, digits: int = 6) -> float:
@@ -232,3 +239,80 @@ def _fields(kind: Any) -> dict[str, tuple[Any, bool]]:
         item.name: (hints[item.name], item.default is missing and item.default_factory is missing)
         for item in fields
     }
+
+
+# ---------------------------------------------------------------- JSON
+
+
+def load_json(text: str, source: str, form: str) -> Any:
+    """The value in JSON text of the format ``form``.
+
+    Raises:
+        InputError: for text that is no JSON, brackets nested deeper than ``MAX_DEPTH``, a key given
+            twice, and numbers that are not finite.
+    """
+    if not text.strip():
+        raise InputError(source, "an empty file", f"JSON ({form})")
+    if text.count("[") + text.count("{") > MAX_DEPTH:
+        _check_depth(text, source)
+
+    suspicious = bool(_SUSPICIOUS.search(text))
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        nonlocal suspicious
+        made = dict(pairs)
+        if len(made) == len(pairs):
+            return made
+        suspicious = True
+        seen = [key for key, _ in pairs]
+        return _Repeating(made, key=next(key for key in seen if seen.count(key) > 1))
+
+    try:
+        value = json.loads(text, object_pairs_hook=once)
+    except json.JSONDecodeError as error:
+        where = f"{source}: line {error.lineno} column {error.colno}"
+        raise InputError(where, error.msg, "JSON") from None
+    except ValueError:  # Python's limit on the digits of an integer
+        got = "an integer of thousands of digits"
+        raise InputError(source, got, "numbers of ordinary size") from None
+    if suspicious:
+        _check_tree(value, source, "")
+    return value
+
+
+class _Repeating(dict[str, Any]):
+    """A JSON object that was given a key twice."""
+
+    def __init__(self, values: Mapping[str, Any], key: str) -> None:
+        super().__init__(values)
+        self.key = key
+
+
+def _check_tree(value: Any, source: str, path: str) -> None:
+    """Refuse a repeated key and a number that is not finite, wherever they are."""
+    where = f"{source}: {path}" if path else source
+    if isinstance(value, _Repeating):
+        raise InputError(
+            f"{source}: key of {path}" if path else f"{source}: key", value.key, "every key once"
+        )
+    if isinstance(value, dict):
+        for key, item in cast("dict[str, Any]", value).items():
+            _check_tree(item, source, f"{path}.{key}" if path else printable(key))
+    elif isinstance(value, list):
+        for k, item in enumerate(cast("list[Any]", value)):
+            _check_tree(item, source, f"{path}[{k}]")
+    elif isinstance(value, float):
+        number(value, where)
+
+
+def _check_depth(text: str, source: str) -> None:
+    depth = 0
+    for token in _TOKENS.finditer(text):
+        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(token[0], 0)
+        if depth > MAX_DEPTH:
+            raise too_deep(source)
+
+
+def too_deep(source: str) -> InputError:
+    """The error for JSON whose brackets are nested too deeply."""
+    return InputError(source, "brackets nested too deeply", "a few levels")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from l2a_lab.builder.commands import COMMANDS as BUILDERS
-from l2a_lab.runs import RUNS, keep_runs, read_runs, runs_in, trained_agent
+from l2a_lab.runs import RUNS, keep_arguments, run_keep
 from l2a_lab.table_command import prepare, run_table, table_arguments
 from learn2assemble.cli.output import write_result
 from learn2assemble.cli.parser import (
@@ -20,9 +20,8 @@ from learn2assemble.cli.parser import (
     count,
     named,
     natural,
-    overwrite_argument,
 )
-from learn2assemble.errors import InputError, Remedy, check_name
+from learn2assemble.errors import InputError, check_name
 from learn2assemble.files import check_exists, check_new
 from learn2assemble.registry import Registry
 
@@ -171,46 +170,6 @@ def _run_curves(options: argparse.Namespace, output: Output) -> None:
 
 def _known(number: float, unit: float = 1) -> str:
     return f"{number / unit:,.0f}" if math.isfinite(number) else "never"
-
-
-# ---------------------------------------------------------------- keep
-
-
-def _keep_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("folders", metavar="FOLDER", nargs="+", type=named, help="of a training; its name is kept")
-    add("--runs", type=named, default=RUNS, help="file that takes configuration and log")
-    add("--agents", type=named, default=Path("agents"), help="folder that takes the agent")
-    overwrite_argument(parser)
-
-
-def _run_keep(options: argparse.Namespace, output: Output) -> None:
-    from l2a_lab.runs import list_agents
-    from learn2assemble.tasks.networks.agent import save_agent
-    from learn2assemble.tasks.networks.agent_fetch import ENDING
-
-    # All of them are read before anything is written.
-    runs = runs_in(options.folders)
-    agents = [agent for agent in map(trained_agent, options.folders) if agent is not None]
-    if len(runs) < len(options.folders):
-        names = " ".join(folder.absolute().name for folder in options.folders)
-        raise InputError("FOLDER", names, "trainings of different names")
-    kept = read_runs(options.runs) if options.runs.exists() and not options.overwrite else {}
-    for name in runs:
-        if name in kept:
-            new = Remedy("overwrite", True, "replaces it")
-            raise InputError(f"{options.runs}", name, "trainings that it has not yet", new)
-    prepare(options.runs.parent)
-    prepare(options.agents)
-    for agent in agents:
-        file = options.agents / f"{agent.name}{ENDING}"
-        check_new(file, "agent", *options.folders, overwrite=options.overwrite)
-    files = [str(save_agent(agent, options.agents)) for agent in agents]
-    list_agents(options.agents)
-    keep_runs(runs, options.runs)
-    for text in (*files, f"{options.runs}: {', '.join(runs)}"):
-        output.say(text)
-    output.finish({"runs": list(runs), "agents": files})
 
 
 # ---------------------------------------------------------------- replay
@@ -507,8 +466,8 @@ _COMMANDS = {
     "keep": Command(
         "keep a finished training: its agent in agents/, configuration and log with the results",
         "l2a-lab keep runs/dqn-s0",
-        _keep_arguments,
-        _run_keep,
+        keep_arguments,
+        run_keep,
     ),
     "replay": Command(
         "repeat recorded transitions and report the agreement",

@@ -7,6 +7,7 @@ folder, ``evaluations`` (``eval-NAME.json`` by ``NAME``).
 
 from __future__ import annotations
 
+import argparse
 import json
 import zlib
 from collections.abc import Iterable, Mapping
@@ -15,10 +16,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from l2a_lab.packed import read_pack, write_pack
-from learn2assemble.errors import InputError
-from learn2assemble.files import check_exists, read_json, read_json_lines, write_file
+from learn2assemble.cli.parser import named, overwrite_argument
+from learn2assemble.errors import InputError, Remedy
+from learn2assemble.files import check_exists, check_new, read_json, read_json_lines, write_file
 
 if TYPE_CHECKING:
+    from learn2assemble.cli.output import Output
     from learn2assemble.tasks.networks.agent import Agent
 
 RUNS = Path("results/runs.jsonl.gz")
@@ -114,3 +117,45 @@ def list_agents(folder: Path) -> None:
         text = AgentList(listed_agents().release, found).text()
         write_file(PRETRAINED / LIST, text, "list of agents")
         listed_agents.cache_clear()
+
+
+# ---------------------------------------------------------------- the command
+
+
+def keep_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of the command that keeps finished trainings."""
+    add = parser.add_argument
+    add("folders", metavar="FOLDER", nargs="+", type=named, help="of a training; its name is kept")
+    add("--runs", type=named, default=RUNS, help="file that takes configuration and log")
+    add("--agents", type=named, default=Path("agents"), help="folder that takes the agent")
+    overwrite_argument(parser)
+
+
+def run_keep(options: argparse.Namespace, output: Output) -> None:
+    """Keep finished trainings: all of them, or none."""
+    from l2a_lab.table_command import prepare
+    from learn2assemble.tasks.networks.agent import save_agent
+    from learn2assemble.tasks.networks.agent_fetch import ENDING
+
+    # All of them are read before anything is written.
+    runs = runs_in(options.folders)
+    agents = [agent for agent in map(trained_agent, options.folders) if agent is not None]
+    if len(runs) < len(options.folders):
+        names = " ".join(folder.absolute().name for folder in options.folders)
+        raise InputError("FOLDER", names, "trainings of different names")
+    kept = read_runs(options.runs) if options.runs.exists() and not options.overwrite else {}
+    for name in runs:
+        if name in kept:
+            new = Remedy("overwrite", True, "replaces it")
+            raise InputError(f"{options.runs}", name, "trainings that it has not yet", new)
+    prepare(options.runs.parent)
+    prepare(options.agents)
+    for agent in agents:
+        file = options.agents / f"{agent.name}{ENDING}"
+        check_new(file, "agent", *options.folders, overwrite=options.overwrite)
+    files = [str(save_agent(agent, options.agents)) for agent in agents]
+    list_agents(options.agents)
+    keep_runs(runs, options.runs)
+    for text in (*files, f"{options.runs}: {', '.join(runs)}"):
+        output.say(text)
+    output.finish({"runs": list(runs), "agents": files})

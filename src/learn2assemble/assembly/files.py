@@ -36,18 +36,16 @@ from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.assembly.meshes import KINDS, mesh_kind, read_parts
 from learn2assemble.assembly.parts import shells
 from learn2assemble.assembly.values import compact, written
-from learn2assemble.errors import InputError, UnknownNameError, check_instance, is_number, look_up
-from learn2assemble.files import (
-    UNITS,
-    as_path,
-    check_new,
-    decoded,
-    load_json,
+from learn2assemble.errors import (
+    InputError,
+    UnknownNameError,
+    check_instance,
+    is_number,
+    look_up,
     printable,
-    read_bytes,
-    write_file,
 )
-from learn2assemble.values import mapping, read_document, to_plain
+from learn2assemble.files import UNITS, as_path, check_new, decoded, read_bytes, write_file
+from learn2assemble.values import load_json, mapping, read_document, to_plain
 
 FORMAT, VERSION = "learn2assemble-assembly", 1
 KIND = "file of blocks: JSON, a mesh, or a folder of meshes"

@@ -42,8 +42,8 @@ import numpy as np
 
 from learn2assemble.assembly.joints import DRY, Joint, joint_of_json
 from learn2assemble.assembly.values import Colour
-from learn2assemble.errors import InputError, look_up
-from learn2assemble.files import printable, read_text
+from learn2assemble.errors import InputError, look_up, printable
+from learn2assemble.files import read_text
 from learn2assemble.values import By, Range, from_plain, read_document
 
 Cell = tuple[int, int, int]

@@ -27,7 +27,7 @@ from learn2assemble.cell.pieces import (
 )
 from learn2assemble.cell.site_arms import SiteArm, parse_arms
 from learn2assemble.errors import InputError, check_name
-from learn2assemble.files import load_json, read_bytes, read_text, too_deep
+from learn2assemble.files import read_text
 from learn2assemble.motion.safety import SECTION as SAFETY
 from learn2assemble.motion.safety import Safety, parse_safety
 from learn2assemble.motion.settings import LAYOUT, SECTION, ProgramSettings, parse_settings
@@ -38,7 +38,17 @@ from learn2assemble.sensing.camera import (
     checked_covariance,
     parse_camera,
 )
-from learn2assemble.values import check_keys, integer, mapping, number, read_head, sequence, text
+from learn2assemble.values import (
+    check_keys,
+    integer,
+    load_json,
+    mapping,
+    number,
+    read_head,
+    sequence,
+    text,
+    too_deep,
+)
 
 if TYPE_CHECKING:
     from learn2assemble.design.goals import Goals
@@ -46,10 +56,6 @@ if TYPE_CHECKING:
 MAX_PLACES, MAX_ENTRIES = 400, 64
 MOST_LEAN = 0.2
 """A base leans by no more than this sine."""
-MESHES = ("stl", "obj", "ply", "glb", "3dm")
-MOST_BOXES, SPARE = 48, 0.15
-"""A mesh is covered by so many boxes at most, and by no more than it takes to leave this share of
-the room that its bounding box has to spare."""
 _KEYS = (
     "format",
     "version",
@@ -254,6 +260,8 @@ def _obstacle(value: Any, where: str, folder: Path) -> list[Obstacle]:
     unit = number(given["unit"], f"{where}.unit") if "unit" in given else None
     if unit is not None and not 0 < unit <= 100:
         raise InputError(f"{where}.unit", unit, "the length of a unit of the file in metres")
+    from learn2assemble.design.solids import mesh_boxes
+
     boxes = mesh_boxes(folder / text(given["mesh"], f"{where}.mesh"), unit, f"{where}.mesh")
     cos, sin = math.cos(yaw), math.sin(yaw)
     found = list[Obstacle]()
@@ -262,63 +270,6 @@ def _obstacle(value: Any, where: str, folder: Path) -> list[Obstacle]:
         at = x + cos * u - sin * v, y + sin * u + cos * v
         found.append(Obstacle(at, (a, b, c), yaw, float(low[2]), name))
     return found
-
-
-def mesh_boxes(path: Path, unit: float | None, where: str) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Boxes (low, high), float64[3] each [m], that together contain a closed mesh, whose bounding
-    box has its middle at x = y = 0 and stands on z = 0.
-
-    The piece whose bounding box has most room to spare is cut in two across its longest side,
-    until that is little or there are :data:`MOST_BOXES`.
-
-    Args:
-        unit: length of a unit of the file [m]; by default what the file says, else 1.
-        where: what messages call it.
-
-    Raises:
-        InputError: for a file that is no closed mesh, and for one that is too large.
-    """
-    from learn2assemble.design.solids import read_mesh
-
-    kind = path.suffix.lower().lstrip(".")
-    if kind not in MESHES:
-        raise InputError(where, str(path), f"a file in {', '.join(MESHES)}")
-    content, source = read_bytes(path, where)
-    solid = read_mesh(content, kind, source)
-    triangles = solid.triangles * (unit or solid.metres or 1.0)
-    if solid.up == "y":
-        triangles = triangles[..., [0, 2, 1]] * [1.0, -1.0, 1.0]
-    low, high = triangles.min((0, 1)), triangles.max((0, 1))
-    if (high - low).max() > 100 or (high - low).min() < 1e-4:
-        expected = "0.1 mm to 100 m on every side; `unit` says how long a unit is [m]"
-        raise InputError(where, [float(f"{v:.4g}") for v in high - low], expected)
-    return _covering(triangles - [*(low + high)[:2] / 2, low[2]])
-
-
-def _covering(triangles: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    from manifold3d import Manifold, Mesh64
-
-    corners, index = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
-    whole = Manifold(Mesh64(corners, index.reshape(-1, 3).astype(np.uint64)))
-
-    def bounds(piece: Any) -> tuple[np.ndarray, np.ndarray]:
-        box = np.array(piece.bounding_box())
-        return box[:3], box[3:]
-
-    def spare(piece: Manifold) -> float:
-        low, high = bounds(piece)
-        return float(np.prod(high - low)) - piece.volume()
-
-    pieces, enough = [whole], SPARE * spare(whole) + 1e-9
-    while len(pieces) < MOST_BOXES and sum(map(spare, pieces)) > enough:
-        worst = max(pieces, key=spare)
-        low, high = bounds(worst)
-        axis = int(np.argmax(high - low))
-        normal = [float(k == axis) for k in range(3)]
-        halves = worst.split_by_plane(normal, float((low + high)[axis] / 2))
-        pieces.remove(worst)
-        pieces += [half for half in halves if not half.is_empty()]
-    return [bounds(piece) for piece in pieces]
 
 
 def _magazine(value: Any, where: str) -> Magazine:

@@ -15,8 +15,7 @@ from typing import Any
 
 from learn2assemble.cli.output import Heartbeat, Output
 from learn2assemble.cli.parser import L2A, CommandLine, make_parser
-from learn2assemble.errors import InputError, Learn2AssembleError, one_line, require
-from learn2assemble.files import printable
+from learn2assemble.errors import InputError, Learn2AssembleError, one_line, printable, require
 
 
 def main(arguments: Sequence[str] | None = None, program: CommandLine = L2A) -> int:

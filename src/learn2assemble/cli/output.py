@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from learn2assemble.compiling import compiling_so_far
-from learn2assemble.errors import as_options
-from learn2assemble.files import printable, write_file
+from learn2assemble.errors import as_options, printable
+from learn2assemble.files import write_file
 from learn2assemble.progress import Detail
 
 QUIET = 1.5

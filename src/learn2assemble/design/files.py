@@ -11,16 +11,9 @@ from typing import Any
 from learn2assemble.assembly.blocks import check_count
 from learn2assemble.assembly.bricks.files import is_of_bricks
 from learn2assemble.design.reading import FOLDER
-from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.files import (
-    MAX_BYTES,
-    as_path,
-    decoded,
-    load_json,
-    nearest,
-    printable,
-    read_bytes,
-)
+from learn2assemble.errors import InputError, UnknownNameError, printable
+from learn2assemble.files import MAX_BYTES, as_path, decoded, nearest, read_bytes
+from learn2assemble.values import load_json
 
 GOALS = b'"learn2assemble-goals"'
 """What a file of goals says of its format."""

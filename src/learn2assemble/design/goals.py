@@ -19,8 +19,8 @@ from learn2assemble.constants import GRAVITY
 from learn2assemble.design.drawings import check_line
 from learn2assemble.design.lattice import MAX_CELLS
 from learn2assemble.errors import InputError, look_up
-from learn2assemble.files import as_path, load_json, read_text
-from learn2assemble.values import Range, integer, mapping, read_document
+from learn2assemble.files import as_path, read_text
+from learn2assemble.values import Range, integer, load_json, mapping, read_document
 
 FORMAT, VERSION = "learn2assemble-goals", 1
 MAX_GOALS, MAX_LOADS = 64, 5

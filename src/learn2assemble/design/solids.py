@@ -24,11 +24,17 @@ import numpy as np
 from learn2assemble.assembly.meshes import MeshPart, check_size, checked, read_parts
 from learn2assemble.design.holes import close_holes
 from learn2assemble.errors import InputError, MissingExtraError, Remedy
+from learn2assemble.files import read_bytes
 from learn2assemble.geometry.crossings import find_crossing
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
 
+OBSTACLES = ("stl", "obj", "ply", "glb", "3dm")
+"""Meshes that can be obstacles."""
+MOST_BOXES, SPARE = 48, 0.15
+"""A mesh is covered by so many boxes at most, and by no more than it takes to leave this share of
+the room that its bounding box has to spare."""
 Mesh = tuple[np.ndarray, np.ndarray]
 """Vertices ``float64[V, 3]`` and triangles ``int64[T, 3]``."""
 
@@ -389,3 +395,63 @@ def _cells(values: np.ndarray, source: str) -> np.ndarray:
         strange = values[~(ones | (values == 0))].flat[0]
         raise InputError(source, f"a value {strange}", "true or false (1 or 0) in every cell")
     return np.ascontiguousarray(ones)
+
+
+def mesh_boxes(path: Path, unit: float | None, where: str) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Boxes (low, high), float64[3] each [m], that together contain a closed mesh, whose bounding
+    box has its middle at x = y = 0 and stands on z = 0.
+
+    Args:
+        unit: length of a unit of the file [m]; by default what the file says, else 1.
+        where: what messages call it.
+
+    Raises:
+        InputError: for a file that is no closed mesh, and for one that is too large.
+    """
+    kind = path.suffix.lower().lstrip(".")
+    if kind not in OBSTACLES:
+        raise InputError(where, str(path), f"a file in {', '.join(OBSTACLES)}")
+    content, source = read_bytes(path, where)
+    solid = read_mesh(content, kind, source)
+    triangles = solid.triangles * (unit or solid.metres or 1.0)
+    if solid.up == "y":
+        triangles = triangles[..., [0, 2, 1]] * [1.0, -1.0, 1.0]
+    low, high = triangles.min((0, 1)), triangles.max((0, 1))
+    if (high - low).max() > 100 or (high - low).min() < 1e-4:
+        expected = "0.1 mm to 100 m on every side; `unit` says how long a unit is [m]"
+        raise InputError(where, [float(f"{v:.4g}") for v in high - low], expected)
+    return _covering(triangles - [*(low + high)[:2] / 2, low[2]])
+
+
+def _covering(triangles: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Boxes (low, high), float64[3] each, that together contain a closed mesh, in its unit.
+
+    The piece whose bounding box has most room to spare is cut in two across its longest side,
+    until that is little or there are :data:`MOST_BOXES`.
+
+    Args:
+        triangles: float64[T, 3, 3].
+    """
+    from manifold3d import Manifold, Mesh64
+
+    corners, index = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+    whole = Manifold(Mesh64(corners, index.reshape(-1, 3).astype(np.uint64)))
+
+    def bounds(piece: Any) -> tuple[np.ndarray, np.ndarray]:
+        box = np.array(piece.bounding_box())
+        return box[:3], box[3:]
+
+    def spare(piece: Manifold) -> float:
+        low, high = bounds(piece)
+        return float(np.prod(high - low)) - piece.volume()
+
+    pieces, enough = [whole], SPARE * spare(whole) + 1e-9
+    while len(pieces) < MOST_BOXES and sum(map(spare, pieces)) > enough:
+        worst = max(pieces, key=spare)
+        low, high = bounds(worst)
+        axis = int(np.argmax(high - low))
+        normal = [float(k == axis) for k in range(3)]
+        halves = worst.split_by_plane(normal, float((low + high)[axis] / 2))
+        pieces.remove(worst)
+        pieces += [half for half in halves if not half.is_empty()]
+    return [bounds(piece) for piece in pieces]

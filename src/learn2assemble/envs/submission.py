@@ -20,8 +20,8 @@ import numpy as np
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from learn2assemble.envs.suite import SUITE, SUITE_VERSION, Choose, Played, SuiteTask
-from learn2assemble.errors import InputError, check_arguments, check_fields, is_whole
-from learn2assemble.files import check_new, printable, read_json_lines, write_file
+from learn2assemble.errors import InputError, check_arguments, check_fields, is_whole, printable
+from learn2assemble.files import check_new, read_json_lines, write_file
 from learn2assemble.tasks.task import DESIGN_TASKS, GOAL_TASKS, HIDDEN_TASKS
 from learn2assemble.values import from_plain, to_plain
 

@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from learn2assemble.assembly.files import read_assembly
-from learn2assemble.errors import InputError, check_name, look_up
+from learn2assemble.errors import InputError, check_name, look_up, printable
 from learn2assemble.export.formats import file_at
 from learn2assemble.export.place_words import place_rows
 from learn2assemble.export.robot_tables import read_table, write_franka, write_table
 from learn2assemble.export.ros2 import is_bag, read_bag, write_bag
 from learn2assemble.export.urscript import write_urscript
-from learn2assemble.files import as_path, check_exists, check_new, printable, read_json
+from learn2assemble.files import as_path, check_exists, check_new, read_json
 from learn2assemble.motion.driver import arm_of
 from learn2assemble.motion.files import read_record
 from learn2assemble.motion.knots import usage

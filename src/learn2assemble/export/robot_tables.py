@@ -21,7 +21,7 @@ import numpy as np
 
 from learn2assemble.errors import InputError
 from learn2assemble.export.place_words import places_data
-from learn2assemble.files import load_json, read_bytes, write_file
+from learn2assemble.files import read_bytes, write_file
 from learn2assemble.geometry.hulls import Hull, hull_of
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.driver import driver_of, stand
@@ -37,7 +37,7 @@ from learn2assemble.motion.record import are_objects
 from learn2assemble.motion.stud_files import studs_data, studs_from
 from learn2assemble.robot.arm import Arm, Limits, get_arm
 from learn2assemble.robot.moves import STAGES
-from learn2assemble.values import rounded_array
+from learn2assemble.values import load_json, rounded_array
 
 FORMAT, VERSION = "learn2assemble-robot-program", 1
 RATE = 1000

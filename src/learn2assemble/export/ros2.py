@@ -27,7 +27,7 @@ from learn2assemble.export.robot_tables import (
     read_header,
     to_json,
 )
-from learn2assemble.files import load_json, read_bytes, write_file
+from learn2assemble.files import read_bytes, write_file
 from learn2assemble.geometry.hulls import Hull
 from learn2assemble.geometry.rotations import (
     matrix_quaternion,
@@ -41,6 +41,7 @@ from learn2assemble.motion.program import Program, ToolState
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import forward_many, get_chain
 from learn2assemble.robot.moves import STAGES
+from learn2assemble.values import load_json
 
 STATE_RATE = 50.0
 """Joint states and transforms per second."""

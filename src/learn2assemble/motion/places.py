@@ -82,6 +82,8 @@ class Supplied(NamedTuple):
     places: tuple[PickPlace, ...]
     picks: tuple[Pick | None, ...]
     """One for each step of the record; None: the step takes nothing from a place."""
+    turns: tuple[float, ...]
+    """For each step, :func:`put_turn`."""
 
 
 def ranges(numbers: Sequence[int]) -> str:
@@ -137,7 +139,7 @@ def supplied(record: BuildRecord) -> Supplied:
         refill = bool(hidden[k])
         picks.append(Pick(_listed(places, _lying(record, k, step), number, refill), refill))
         moved[k], hidden[k] = True, False
-    return Supplied(tuple(places), tuple(picks))
+    return Supplied(tuple(places), tuple(picks), tuple(put_turn(record, s) for s in record.steps))
 
 
 def _lying(record: BuildRecord, number: int, step: StepRecord) -> PickPlace:

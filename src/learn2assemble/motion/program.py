@@ -24,14 +24,7 @@ from learn2assemble.geometry.rotations import (
     quaternion_matrix,
 )
 from learn2assemble.motion.knots import REST, Knots, fit, slow_down
-from learn2assemble.motion.places import (
-    Pick,
-    PickPlace,
-    name_of,
-    put_turn,
-    step_numbers,
-    supplied,
-)
+from learn2assemble.motion.places import Pick, PickPlace, name_of, step_numbers, supplied
 from learn2assemble.motion.record import (
     BuildRecord,
     ByHand,
@@ -284,9 +277,9 @@ def _as_planned(program: Program, record: BuildRecord) -> Program:
     """The program with steps and blocks called as in the plan, and the places of its blocks."""
     numbers, told = np.array(step_numbers(record)), supplied(record)
     steps = tuple(
-        step._replace(number=number, plan_step=one.plan_step, pick=pick, turn=put_turn(record, one))
-        for step, one, number, pick in zip(
-            program.steps, record.steps, numbers.tolist(), told.picks, strict=True
+        step._replace(number=number, plan_step=one.plan_step, pick=pick, turn=turn)
+        for step, one, number, pick, turn in zip(
+            program.steps, record.steps, numbers.tolist(), told.picks, told.turns, strict=True
         )
     )
     blocks = program.blocks

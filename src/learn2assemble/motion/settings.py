@@ -12,16 +12,18 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from learn2assemble.errors import InputError, look_up
-from learn2assemble.files import load_json, read_text, too_deep
+from learn2assemble.files import read_text
 from learn2assemble.values import (
     boolean,
     check_keys,
     integer,
+    load_json,
     mapping,
     number,
     read_head,
     sequence,
     text,
+    too_deep,
 )
 
 LAYOUT = "learn2assemble-layout"

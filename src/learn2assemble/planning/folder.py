@@ -22,6 +22,11 @@ OWN = (
 """What the files of a plan are called in its folder."""
 
 
+def trajectory_names(arms: int) -> list[str]:
+    """What the files of the motions of so many arms are called, without their ends."""
+    return ["trajectory"] if arms == 1 else [f"trajectory-{n}" for n in range(1, arms + 1)]
+
+
 def check_own(folder: Path) -> None:
     """Refuse a folder with files that a plan would replace and that are not of a plan.
 

@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from learn2assemble.errors import InputError, as_both
-from learn2assemble.files import MAX_GENERATED, as_path, load_json, read_text, write_file
-from learn2assemble.planning.folder import FORMAT, check_own
+from learn2assemble.files import MAX_GENERATED, as_path, read_text, write_file
+from learn2assemble.planning.folder import FORMAT, check_own, trajectory_names
 from learn2assemble.planning.reports import ArmReport, BuilderArm, RebuildReport
 from learn2assemble.progress import Progress, silent
 from learn2assemble.registry import Registry
-from learn2assemble.values import Range, from_plain, integer, mapping, rounded, to_plain
+from learn2assemble.values import Range, from_plain, integer, load_json, mapping, rounded, to_plain
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly, Block
@@ -283,7 +283,7 @@ class Plan:
     records: tuple[BuildRecord, ...] = field(
         default=(), compare=False, repr=False, metadata={"file": False}
     )
-    """The motion of each arm that has built, on one clock; :func:`trajectory_names`."""
+    """The motion of each arm that has built, on one clock; :func:`~.folder.trajectory_names`."""
     assembly: Assembly | None = field(
         default=None, compare=False, repr=False, metadata={"file": False}
     )
@@ -335,14 +335,18 @@ class Plan:
     def proven_for(self) -> dict[str, str]:
         """In words, what every step of a complete plan is proven for: ``friction``, ``joints``."""
         words: dict[str, str] = {}
+
+        def said(low: float, high: float) -> str:
+            return f"{low:g}" if low == high else f"{low:g} to {high:g}"
+
         if self.complete and self.friction_range:
             low, high = self.friction_range
-            words["friction"] = _words(low, high) if high < LARGEST else f"{low:g} or more"
+            words["friction"] = said(low, high) if high < LARGEST else f"{low:g} or more"
         if self.complete and self.gap_range:
             low, high = (1e3 * gap for gap in self.gap_range)
             if low < high:  # No more is said than is proven.
                 low, high = math.ceil(100 * low - 1e-6) / 100, math.floor(100 * high + 1e-6) / 100
-            words["joints"] = f"{_words(low, high)} mm"
+            words["joints"] = f"{said(low, high)} mm"
         return words
 
     @property
@@ -487,15 +491,6 @@ EXPORTS: Registry[Exporter] = Registry("export", {})
 """What can be written of a plan, besides itself."""
 
 
-def trajectory_names(arms: int) -> list[str]:
-    """What the files of the motions of so many arms are called, without their ends."""
-    return ["trajectory"] if arms == 1 else [f"trajectory-{n}" for n in range(1, arms + 1)]
-
-
 def load_plan(path: str | Path) -> Plan:
     """The plan in a ``plan.json`` or its folder, see :meth:`Plan.load`."""
     return Plan.load(path)
-
-
-def _words(low: float, high: float) -> str:
-    return f"{low:g}" if low == high else f"{low:g} to {high:g}"

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from learn2assemble.errors import Learn2AssembleError
+from learn2assemble.errors import SimulationDivergedError
 from learn2assemble.geometry.rotations import rotate_vectors
 from learn2assemble.motion.plant import Played
 from learn2assemble.robot.arm import Arm
@@ -28,23 +28,6 @@ from learn2assemble.simulation.model import TIMESTEP, ArmParts, Failure, Objects
 from learn2assemble.simulation.trajectory import (
     PathSamples,
 )
-
-
-class SimulationDivergedError(Learn2AssembleError, ArithmeticError):
-    """Some position or velocity is not finite any more.
-
-    Args:
-        time: since the attempt began [s].
-        folder: has ``scene.xml``, the model, and ``state.npz``: ``qpos``, ``qvel``, ``ctrl``,
-            ``time``, ``stage`` and ``began``, the poses of the objects at the beginning.
-    """
-
-    time: float
-    folder: Path
-
-    def __init__(self, time: float, folder: Path) -> None:
-        super().__init__(f"simulation diverged at {time:.3f} s; model and state are in {folder}")
-        self.time, self.folder = time, folder
 
 
 def diverged(

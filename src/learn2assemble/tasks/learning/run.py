@@ -38,7 +38,6 @@ from learn2assemble.files import (
     check_exists,
     claim_folder,
     holds_something,
-    load_json,
     read_json,
     read_text,
     write_file,
@@ -47,7 +46,7 @@ from learn2assemble.tasks.learning.config import CONFIGS, TrainConfig, fit_to, o
 from learn2assemble.tasks.learning.trainer import Trainer
 from learn2assemble.tasks.networks.agent import Agent, load_agent, save_agent
 from learn2assemble.tasks.task import NO_ARM, Task, get_task
-from learn2assemble.values import integer, mapping, number, text
+from learn2assemble.values import integer, load_json, mapping, number, text
 from learn2assemble.workers import run_all
 
 with extra("torch", "learn"):

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from learn2assemble.errors import InputError
-from learn2assemble.files import MAX_BYTES, check_exists, decoded, load_json
-from learn2assemble.values import mapping
+from learn2assemble.files import MAX_BYTES, check_exists, decoded
+from learn2assemble.values import load_json, mapping
 
 KEY = "agent"
 _WORDS = "__metadata__"
