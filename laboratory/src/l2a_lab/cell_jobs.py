@@ -35,9 +35,11 @@ An agent more brings more than more problems for the same one, and the interval 
 played different problems holds for both."""
 
 
-SECONDS = {"static": 2e-5, "rigid": 4e-5, "kinematic": 4e-4, "dynamic": 1e-2}
-"""Of an episode without search, for each pair of nodes, by what checks placements [s]; others take
-as long as the slowest."""
+PLAYED = {"static": 8e-5, "rigid": 2e-4, "kinematic": 3e-4, "published": 6e-3, "dynamic": 6e-2}
+"""Seconds of a processor that an episode takes for each node, by what checks placements; ..."""
+TRIED = {"static": 2.4e-6, "rigid": 5e-6, "kinematic": 1.6e-5, "published": 8e-5, "dynamic": 1.6e-5}
+"""... besides, for each placement that a search tries and each pair of nodes. The networks see all
+pairs, but only a long search has many to see."""
 
 
 @dataclass(frozen=True)
@@ -50,25 +52,15 @@ class CellJob:
     episodes: int
 
     @property
-    def cost(self) -> float:
-        """Rough share of the time, to start long jobs first."""
-        slow = 2.0 if self.cell.physics != "static" else 1.0
-        return self._work * slow * self.episodes
-
-    @property
     def seconds(self) -> float:
-        """Very roughly how long it takes one process."""
-        physics = self.cell.physics
+        """About how long it takes one process; what is slowest for a checker that is not known."""
+        search, nodes, physics = self.cell.search, self.cell.task.num_nodes, self.cell.physics
         if self.cell.task.has_arm and physics in ("static", "rigid"):
             physics = "kinematic"  # They stand for it.
-        return self._work * self.episodes * SECONDS.get(physics, max(SECONDS.values()))
-
-    @property
-    def _work(self) -> float:
-        """Of an episode: it grows with what a search tries and with the pairs of nodes."""
-        search = self.cell.search
-        tries = 1.0 if search is None else 1.0 + search.budget * min(search.rollout, 10)
-        return tries * self.cell.task.num_nodes**2
+        tries = 0.0 if search is None else search.budget * min(search.rollout, 10)
+        played = PLAYED.get(physics, max(PLAYED.values())) * nodes
+        tried = TRIED.get(physics, max(TRIED.values())) * tries * nodes**2
+        return (played + tried) * self.episodes
 
 
 def row_cells(table: Table, row: Row, column: int, agents: list[str]) -> list[Cell]:
@@ -152,7 +144,7 @@ def jobs(
 def stale(root: Path, wanted: list[CellJob]) -> list[CellJob]:
     """Those without a current result below ``root``, the longest first."""
     left = [j for j in wanted if not is_current(root, j.cell, j.agent_hash, j.episodes)]
-    return sorted(left, key=lambda job: -job.cost)
+    return sorted(left, key=lambda job: -job.seconds)
 
 
 def run_jobs(

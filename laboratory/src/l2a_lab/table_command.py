@@ -132,7 +132,7 @@ def _measure(root: Path, todo: list[CellJob], name: str, workers: int, ray: str 
 
     if not todo:
         return
-    total = round(sum(job.cost for job in todo))
+    total = sum(job.seconds for job in todo)
     with tqdm(
         total=total,
         desc=name,
@@ -147,7 +147,7 @@ def _measure(root: Path, todo: list[CellJob], name: str, workers: int, ray: str 
             nonlocal done
             done += 1
             bar.set_postfix_str(f"{done}/{len(todo)} cells, last: {job.cell.path[6:]}")
-            bar.update(round(job.cost))
+            bar.update(job.seconds)
 
         run_jobs(root, todo, workers, advance, ray)
     pack(root / "cells")
