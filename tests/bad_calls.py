@@ -847,6 +847,7 @@ BAD = [
         ["build", "{d}/design.json", "--out", "{d}/another", "--sense-noise", "5"],
         "an arm",
     ),
+    BadCall("bench of what is not measured", ["bench", "check_ms"], "check_s"),
     BadCall("bench for no time", ["bench", "--seconds", "0"], "a number from 0.001"),
     BadCall("bench for ever", ["bench", "--seconds", "inf"], "a number from 0.001"),
     BadCall("bench for a word", ["bench", "--seconds", "soon"], "a number from 0.001"),

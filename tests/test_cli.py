@@ -357,11 +357,15 @@ def test_bench(l2a: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     """Measurements are replaced, so that this test does not depend on the machine."""
     from learn2assemble import benchmark as bench
 
-    monkeypatch.setattr(bench, "MEASUREMENTS", {"fast_things_per_s": lambda seconds: 2 * seconds})
+    measured = {"slow_s": lambda seconds: 9.0, "fast_things_per_s": lambda seconds: 2 * seconds}
+    monkeypatch.setattr(bench, "MEASUREMENTS", measured)
     result = l2a("bench", "--seconds", "1.5", "--json")
     assert result.code == 0
+    assert (result.json()["fast_things_per_s"], result.json()["slow_s"]) == (3.0, 9.0)
+    assert result.err.startswith("l2a: measuring slow_s\n")
+    result = l2a("bench", "fast_things_per_s", "--seconds", "1.5", "--json")
     assert result.json()["fast_things_per_s"] == 3.0
-    assert result.err.startswith("l2a: measuring fast_things_per_s\n")
+    assert "slow_s" not in result.json()
 
 
 FILES = {

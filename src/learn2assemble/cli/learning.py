@@ -21,7 +21,7 @@ from learn2assemble.cli.parser import (
     share,
     workers_arguments,
 )
-from learn2assemble.errors import InputError, MissingExtraError
+from learn2assemble.errors import InputError, MissingExtraError, check_name
 from learn2assemble.files import check_new
 from learn2assemble.tasks.search.config import SEARCHES, TO_THE_END
 
@@ -190,6 +190,7 @@ def _evaluate(options: argparse.Namespace, output: Output) -> None:
     "bench",
     "measure the speed of this machine",
     "l2a bench --seconds 2",
+    arg("names", nargs="*", metavar="NAME", help="of a measurement (all of them)"),
     arg("--seconds", type=positive, default=2.0, help="per measurement"),
 )
 def _bench(options: argparse.Namespace, output: Output) -> None:
@@ -197,10 +198,12 @@ def _bench(options: argparse.Namespace, output: Output) -> None:
 
     results: dict[str, float] = {}
     left: dict[str, list[str]] = {}
-    for name, measure in MEASUREMENTS.items():
+    for name in options.names:
+        check_name("measurement", name, MEASUREMENTS)
+    for name in options.names or MEASUREMENTS:
         output.progress(f"measuring {name}")
         try:
-            results[name] = measure(options.seconds)
+            results[name] = MEASUREMENTS[name](options.seconds)
         except MissingExtraError as error:
             left.setdefault(str(error), []).append(name)
     for reason, names in left.items():
