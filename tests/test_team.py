@@ -27,7 +27,7 @@ from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import set_up_team, team_reach
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
-from learn2assemble.motion.plant import Guard, Motion, Report, Stop, ToolCommand, standing
+from learn2assemble.motion.plant import Guard, Motion, Report, Request, Stop, ToolCommand, standing
 from learn2assemble.motion.setup import BlockKind, Setup
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.robot.arm import Arm, arm_model, get_arm
@@ -447,6 +447,16 @@ def test_a_state_is_written_and_read() -> None:
     for one, two in zip(plant.plants, other.plants, strict=True):
         assert np.array_equal(one.where(), two.where())
     assert other.sense().time == plant.sense().time
+    # What was in the hand is at its magazine again, and the cup takes it only when it is told to.
+    assert (plant.held(), other.held()) == ("a", None)
+    one = other.plants[0]
+    above, touching = over(LEFT, "a", 0.1), over(LEFT, "a", 0.025)
+    assert one.request(Request("present", "a", "a", AT["a"])).stop == Stop.END
+    one.execute(way("pick", above, touching, 1.0))
+    one.execute(standing("pick", touching, 0.5))
+    assert one.held() is None
+    assert one.execute(standing("pick", touching, 0.5), ON, (Guard(hold="made"),)).stop == Stop.HELD
+    assert one.held() == "a"
 
 
 def test_parts_of_the_arms_are_told_apart() -> None:

@@ -134,11 +134,13 @@ class DynamicPlant(DynamicWorld):
         return super().state() | more
 
     def restore(self, state: dict[str, Any]) -> None:
-        """See :class:`SimulatedCell`; what was in a hand has been taken out of it, which lets go
-        when nobody tells it to hold."""
+        """See :class:`SimulatedCell`; what was in a hand has been taken out of it, and no vacuum
+        is on."""
         super().restore(state)
         for name in state.get("held", ()):
             self.things.pop(name)
         arms = [(state["joints"], state["width"]), *state.get("others", ())]
         joints, widths = zip(*arms, strict=True)
-        self._begin([np.array(q) for q in joints], list(widths), state["steps"])
+        # A cup that goes on drawing takes hold of whatever it comes to, before it is told to.
+        widths = [0.0 if a.suction else w for a, w in zip(self.arms, widths, strict=True)]
+        self._begin([np.array(q) for q in joints], widths, state["steps"])
