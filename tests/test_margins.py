@@ -31,6 +31,7 @@ from learn2assemble.planning.tiling.finished import stand
 from learn2assemble.planning.tiling.ordering import to_assembly
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.tile import tile
+from learn2assemble.statics import elastic
 from learn2assemble.statics.elastic import balance
 from learn2assemble.statics.rigid_blocks import bed_patches, margin
 from learn2assemble.statics.step_proof import TOLERANCE, Proof
@@ -273,7 +274,10 @@ def test_motions_are_not_looked_for_again_at_the_prices_of_before(
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_forces_balance_and_are_found_exactly_where_a_program_finds_some(seed: int) -> None:
+def test_forces_balance_and_are_found_exactly_where_a_program_finds_some(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By full matrices and by sparse ones alike."""
     rng = np.random.default_rng(seed)
     kit = load_kit("bricks-lintels")
     tiling = tile(random_design(rng), kit)
@@ -286,16 +290,21 @@ def test_forces_balance_and_are_found_exactly_where_a_program_finds_some(seed: i
         free, _, program = proof._equations(everything, everything)
         near = rng.exponential(size=len(free)) * (rng.random(len(free)) < 0.5)
         for start in (np.zeros(len(free)), near):
-            found = balance(program, stack.share[free], start)
-            answer = solve(program)
-            assert (found is not False) == (answer.status == "optimal")
-            if isinstance(found, np.ndarray):
-                columns = np.repeat(np.arange(len(free)), np.diff(program.start))
-                held = np.bincount(
-                    program.index, program.value * found[columns], len(program.row_lower)
-                )
-                assert found.min() >= 0
-                assert np.abs(held - program.row_lower).max() < 1e-9 * program.row_lower.max()
+            answer, forces = solve(program), list[np.ndarray]()
+            for most in (10**6, 0):
+                monkeypatch.setattr(elastic, "DENSE", most)
+                found = balance(program, stack.share[free], start)
+                assert (found is not False) == (answer.status == "optimal")
+                if isinstance(found, np.ndarray):
+                    columns = np.repeat(np.arange(len(free)), np.diff(program.start))
+                    held = np.bincount(
+                        program.index, program.value * found[columns], len(program.row_lower)
+                    )
+                    assert found.min() >= 0
+                    assert np.abs(held - program.row_lower).max() < 1e-9 * program.row_lower.max()
+                    forces.append(found)
+            for one in forces[1:]:
+                np.testing.assert_allclose(one, forces[0], atol=1e-8)
 
 
 def test_forces_are_mostly_found_without_a_program() -> None:
