@@ -219,9 +219,10 @@ class DynamicWorld(SimulatedCell):
         fixed = [(kind, pose) for kind, pose in self.setup.fixed]
         names = list(self.things)
         lead: dict[int, int] = {}
-        blocks = [(one.kind, one.pose) for one in self.things.values()]
-        for k, (kind, pose) in enumerate([*fixed, *blocks]):
-            axes, first = quaternion_matrix(pose[3:]), len(place)
+        solids = [*fixed, *((one.kind, one.pose) for one in self.things.values())]
+        turned = quaternion_matrix(np.array([pose[3:] for _, pose in solids]).reshape(-1, 4))
+        for k, ((kind, pose), axes) in enumerate(zip(solids, turned, strict=True)):
+            first = len(place)
             for part in kind.shape:
                 place.append(pose[:3] + axes @ np.array(part.centre))
                 turn.append(pose[3:])
