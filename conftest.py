@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -82,6 +83,18 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def data() -> Path:
     """Folder of the project's own test data."""
     return Path(__file__).parent / "tests" / "data"
+
+
+@pytest.fixture
+def torch_as_before() -> Iterator[None]:
+    """What scripts say of PyTorch, which are run in this process, holds for them alone: threads,
+    and the seed of its generator."""
+    import torch
+
+    threads, state = torch.get_num_threads(), torch.get_rng_state()
+    yield
+    torch.set_num_threads(threads)
+    torch.set_rng_state(state)
 
 
 @pytest.fixture(scope="session")

@@ -70,8 +70,6 @@ class FakeController(ABC):
         self.lock = threading.RLock()
         self._taken = set[socket.socket]()
         """Connections from which something was read that nobody has acted on yet."""
-        self.worked = 0.0
-        """Seconds of the processor that the cell took."""
         self.begin(Setup(get_arm("ur5e", "suction"), {}, {}))
 
     def begin(self, setup: Setup) -> None:
@@ -81,6 +79,8 @@ class FakeController(ABC):
         self._armed: list[tuple[float, str, dict[str, Any]]] = []
         self._plan: list[tuple[float, str, dict[str, Any]]] = []
         self.setup, self.arm = setup, setup.arm
+        self.base = quaternion_matrix(driver_of(self.arm).base[3:])
+        """float64[3, 3]: how the base of the arm stands in the cell."""
         self.plant = DynamicPlant(setup)
         self.told = self.plant.where()
         """float64[n]: where the drives were told to be last [rad], ..."""
@@ -152,9 +152,7 @@ class FakeController(ABC):
 
     def force(self) -> list[float]:
         """What a sensor at the tool says, in the frame of the base [N]."""
-        return (
-            np.array(self.tool.force) @ quaternion_matrix(driver_of(self.arm).base[3:])
-        ).tolist()
+        return (np.array(self.tool.force) @ self.base).tolist()
 
     def comes(self, connection: socket.socket, within: bool = False) -> None:
         """Wait until there is something to read; what was read before has been acted on.
@@ -203,7 +201,6 @@ class FakeController(ABC):
                     break
             time.sleep(1e-4)
         with self.lock:
-            begun = time.thread_time()
             self._owed += seconds
             while self._owed >= CYCLE:
                 self._owed -= CYCLE * self.slow
@@ -211,7 +208,6 @@ class FakeController(ABC):
                 if not self.protective:
                     self.cycle()
                 self._step()
-            self.worked += time.thread_time() - begun
             self.publish()
             return {"time": self.time, "stamp": self.time + self.jump, "heard": self.heard()}
 
@@ -297,7 +293,7 @@ class FakeController(ABC):
                 "vacuum": self.vacuum,
                 "poses": {name: pose.tolist() for name, pose in poses.items()},
                 "seen": base64.b64encode(pickle.dumps(seen)).decode(),
-                "worked": self.worked,
+                "worked": time.process_time(),
                 "ports": self.ports,
             }
 

@@ -250,19 +250,27 @@ class FakeUr(FakeController):
         """Type and value of an output."""
         if name.startswith("output_int_register_"):
             return "INT32", self.outputs.get(int(name.rpartition("_")[2]), 0)
-        bits = int(bool(self.tool.vacuum)) << 16
-        return {
-            "timestamp": ("DOUBLE", self.time + self.jump),
-            "actual_q": ("VECTOR6D", self.plant.measured()[0]),
-            "actual_qd": ("VECTOR6D", self.plant.measured()[1]),
-            "actual_TCP_force": ("VECTOR6D", self.get_tcp_force()),
-            "actual_digital_input_bits": ("UINT64", bits),
-            "standard_analog_input0": ("DOUBLE", 0.0),
-            "standard_analog_input1": ("DOUBLE", 0.0),
-            "robot_mode": ("INT32", _RUNNING),
-            "runtime_state": ("UINT32", _STOPPED if self.program is None else _PLAYING),
-            "safety_status_bits": ("UINT32", 4 if self.protective else 1),
-        }.get(name, ("NOT_FOUND", 0))
+        match name:
+            case "timestamp":
+                return "DOUBLE", self.time + self.jump
+            case "actual_q":
+                return "VECTOR6D", self.plant.measured()[0]
+            case "actual_qd":
+                return "VECTOR6D", self.plant.measured()[1]
+            case "actual_TCP_force":
+                return "VECTOR6D", self.get_tcp_force()
+            case "actual_digital_input_bits":
+                return "UINT64", int(bool(self.tool.vacuum)) << 16
+            case "standard_analog_input0" | "standard_analog_input1":
+                return "DOUBLE", 0.0
+            case "robot_mode":
+                return "INT32", _RUNNING
+            case "runtime_state":
+                return "UINT32", _STOPPED if self.program is None else _PLAYING
+            case "safety_status_bits":
+                return "UINT32", 4 if self.protective else 1
+            case _:
+                return "NOT_FOUND", 0
 
     def publish(self) -> None:
         """A data package to everybody who wants one."""

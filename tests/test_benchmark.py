@@ -6,6 +6,7 @@ from __future__ import annotations
 import gzip
 import importlib.util
 import json
+import runpy
 import socket
 import subprocess
 import sys
@@ -18,7 +19,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from headless import ROOT, run_script
+from headless import ROOT
 from learn2assemble.cli import main
 from learn2assemble.envs import candidate_policies, env_id, suite
 from learn2assemble.envs.designs import DesignEnv
@@ -479,34 +480,35 @@ def test_a_policy_that_never_ends_is_asked_no_more() -> None:
     assert len(SuiteTask("goals-bridge").play(env, 0, lambda *_: never).actions) == 2000
 
 
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, torch_as_before: None) -> Path:
+    """The folder that scripts are run in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
 @pytest.mark.skipif(importlib.util.find_spec("sb3_contrib") is None, reason="no sb3-contrib")
-def test_another_library_enters(tmp_path: Path) -> None:
-    """Twice, in one process: its libraries take longer to load than it plays."""
+@pytest.mark.filterwarnings("default")
+def test_another_library_enters(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In this process: its libraries take longer to load than it plays."""
     goals = ["goals-bridge", "goals-cantilever"]
     words = [
         ["ppo.jsonl.gz", "1", "two-sided-3x3-20-24=64"],
         ["goals.jsonl.gz", "1", *(f"{task}=64" for task in goals)],
     ]
-    (tmp_path / "both.py").write_text(
-        "import runpy, sys\n"
-        f"for words in {words}:\n"
-        "    sys.argv[1:] = words\n"
-        f"    runpy.run_path({str(OUTSIDERS / 'maskable_ppo.py')!r}, run_name='__main__')\n"
-    )
-    run_script(tmp_path / "both.py", cwd=tmp_path)
-    assert len(check(tmp_path / "ppo.jsonl.gz").played) == 20
-    assert [one.task for one in check(tmp_path / "goals.jsonl.gz").played] == goals
+    for given in words:
+        monkeypatch.setattr(sys, "argv", ["maskable_ppo.py", *given])
+        runpy.run_path(str(OUTSIDERS / "maskable_ppo.py"), run_name="__main__")
+    assert len(check(here / "ppo.jsonl.gz").played) == 20
+    assert [one.task for one in check(here / "goals.jsonl.gz").played] == goals
 
 
-def test_a_learner_without_a_library_enters(tmp_path: Path) -> None:
+def test_a_learner_without_a_library_enters(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As long as it takes to learn some steps; two seeds are two runs."""
     words = ["dqn.jsonl.gz", "2", "goals-cantilever=1020"]
-    (tmp_path / "one.py").write_text(
-        f"import runpy, sys\nsys.argv[1:] = {words}\n"
-        f"runpy.run_path({str(OUTSIDERS / 'dqn.py')!r}, run_name='__main__')\n"
-    )
-    run_script(tmp_path / "one.py", cwd=tmp_path)
-    assert {one.run for one in check(tmp_path / "dqn.jsonl.gz").played} == {0, 1}
+    monkeypatch.setattr(sys, "argv", ["dqn.py", *words])
+    runpy.run_path(str(OUTSIDERS / "dqn.py"), run_name="__main__")
+    assert {one.run for one in check(here / "dqn.jsonl.gz").played} == {0, 1}
 
 
 # ---------------------------------------------------------------- pictures

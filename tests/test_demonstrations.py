@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import subprocess
+import runpy
 import sys
 from pathlib import Path
 from typing import Any
@@ -162,15 +162,18 @@ def test_what_cannot_be_demonstrated_is_one_line(
 
 
 @pytest.mark.slow
-def test_behaviour_is_cloned(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("torch_as_before")
+def test_behaviour_is_cloned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The example learns from a few episodes, and writes an entry that can be checked."""
     from learn2assemble.envs.submission import check
 
     demonstrate(TASK, tmp_path, episodes=10)
     script = Path(__file__).parents[1] / "examples" / "benchmark" / "behaviour_cloning.py"
     entry = tmp_path / "cloned.jsonl.gz"
-    words = [sys.executable, str(script), str(tmp_path), str(entry), "1", "1"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert not done.returncode, done.stderr
-    assert "10 episodes" in done.stdout
+    monkeypatch.setenv(ROOT, str(tmp_path))  # As the script does itself.
+    monkeypatch.setattr(sys, "argv", [str(script), str(tmp_path), str(entry), "1", "1"])
+    runpy.run_path(str(script), run_name="__main__")
+    assert "10 episodes" in capsys.readouterr().out
     assert check(entry).entry == "behaviour cloning (10 episodes)"

@@ -40,9 +40,19 @@ TINY = {
     "eval": ["--episodes", "1"],
     "demonstrate": ["--episodes", "20"],
     "benchmark run": ["--problems", "1"],
+    "benchmark run random.jsonl.gz": ["--problems", "1", "--task", "two-sided-3x3-20-24"],
     "table": ["--from-files"],
+    # Two arms are simulated in tests of their own.
+    "build examples/bricks/stair.txt --kit duplo --arm panda --arm": ["--physics", "kinematic"],
+    # A video is drawn of the gate, and of the stair.
+    "build mine.svg --kit mine.toml --arm": ["--no-video"],
+    "build examples/designs/arch_pair.json --arm": ["--no-video"],
+    # What is run to its end is the H.
+    "run out/bench-ur5e": ["--until", "2"],
+    "run out/arch-ur5e": ["--until", "2"],
 }
-"""Words that make a command small; later words win."""
+"""Words that make a command small, by how it begins, the longest beginning first; later words win.
+"""
 TABBED = {"pymdownx.tabbed": {"alternate_style": True}}
 PARSED = {
     "--server": "asks a process beside it: test_benchmark",
@@ -142,7 +152,9 @@ GROUPS = {
 
 def small(words: list[str]) -> list[str]:
     """The words of a command, and what makes it small."""
-    extra = TINY.get(" ".join(words[:2]), TINY.get(words[0], []))
+    text = " ".join(words)
+    mine = [key for key in TINY if f"{text} ".startswith(f"{key} ")]
+    extra = TINY[max(mine, key=len)] if mine else []
     if words[0] == "train":
         words = [w for k, w in enumerate(words) if "--minutes" not in words[max(k - 1, 0) : k + 1]]
         if "published" in words:

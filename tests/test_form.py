@@ -12,7 +12,6 @@ import subprocess
 import sys
 import tomllib
 from collections import defaultdict
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +21,7 @@ import learn2assemble as l2a
 from learn2assemble.cli import main
 from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError, as_options
+from source_trees import tree_of
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "learn2assemble"
@@ -46,11 +46,10 @@ LAX = {
 """Rules of pyright that a file may do without, and why."""
 
 
-@cache
 def trees() -> dict[Path, ast.Module]:
     """Every file of the product and the laboratory."""
     return {
-        path: ast.parse(path.read_text(encoding="utf-8"))
+        path: tree_of(path)
         for folder in (SOURCE, LABORATORY)
         for path in sorted(folder.rglob("*.py"))
     }
@@ -232,11 +231,10 @@ def test_errors_show_what_was_given() -> None:
 
 def test_no_text_of_the_library_names_an_option() -> None:
     found = []
-    for path in SOURCE.rglob("*.py"):
-        name = path.relative_to(SOURCE).as_posix()
-        if name.startswith(OPTIONS) or name in STILL:
+    for path, tree in trees().items():
+        name = _place(path)
+        if not path.is_relative_to(SOURCE) or name.startswith(OPTIONS) or name in STILL:
             continue
-        tree = ast.parse(path.read_text("utf-8"))
         texts = {
             node.body[0].value
             for node in ast.walk(tree)

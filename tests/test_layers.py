@@ -16,6 +16,8 @@ from pathlib import Path
 import pytest
 from conftest import part_of as part_of_tests
 
+from source_trees import tree_of
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "learn2assemble"
 SOURCE = ROOT / "src" / PACKAGE
@@ -87,6 +89,8 @@ ONLY: dict[str, set[str]] = {
 }
 """Libraries of the parts that promise to know few."""
 
+STATEMENTS = ast.stmt, ast.excepthandler, ast.match_case
+"""What an import may be, or be inside of."""
 MODULES = {
     path.relative_to(SOURCE).with_suffix("").as_posix().replace("/", "."): path
     for path in sorted(SOURCE.rglob("*.py"))
@@ -118,6 +122,8 @@ def _imports_of(path: Path, module: str, only_on_import: bool) -> frozenset[str]
 
     def visit(node: ast.AST) -> None:
         for child in ast.iter_child_nodes(node):
+            if not isinstance(child, STATEMENTS):
+                continue
             if only_on_import and isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef):
                 continue
             if (
@@ -139,7 +145,7 @@ def _imports_of(path: Path, module: str, only_on_import: bool) -> frozenset[str]
                 )
             visit(child)
 
-    visit(ast.parse(path.read_text(encoding="utf-8")))
+    visit(tree_of(path))
     return frozenset(found)
 
 
@@ -365,7 +371,7 @@ def test_every_extra_that_an_error_names_is_declared() -> None:
     extras; ``./laboratory`` is a package of the checkout."""
     named = set[tuple[str, str]]()
     for file in [*SOURCE.rglob("*.py"), *(ROOT / "laboratory" / "src").rglob("*.py")]:
-        for call in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        for call in ast.walk(tree_of(file)):
             name = getattr(call.func, "id", "") if isinstance(call, ast.Call) else ""
             if not isinstance(call, ast.Call) or name not in {"extra", "MissingExtraError"}:
                 continue

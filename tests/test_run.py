@@ -427,7 +427,7 @@ def main_of_figures(kinds: list[str]) -> None:
             f"{kind}: {len(errors)} bricks in {cuts.attempts} attempts, {cuts.good} of 10 cuts "
             f"ended as lost; errors {1e3 * np.mean(errors):.2f} mm on average, "
             f"{1e3 * max(errors):.2f} mm at worst; {state['time']:.0f} s of the robot; "
-            f"{took:.0f} s of the processor, and {state['worked']:.0f} s in the cell; "
+            f"{took:.0f} s of the processor, and {state['worked']:.0f} s in its process; "
             f"odd: {state['odd']}; failures: {cuts.failures}",
             flush=True,
         )

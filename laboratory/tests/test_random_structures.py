@@ -187,12 +187,16 @@ COMPARED: dict[str, Callable[[int], str]] = {
     "posts": posts,
     "words": words,
 }
-IN_SUITE = {"certificate": 25, "lattice": 25, "order": 16, "posts": 8, "words": 8}
-"""Cases of each in the suite; hundreds of them take minutes."""
+IN_SUITE = {
+    **{"certificate": range(25), "lattice": range(25), "order": range(16), "words": range(8)},
+    "posts": (1, 3, 5, 7, 14, 16, 22, 24),
+}
+"""Cases of each in the suite; hundreds of them take minutes. Of posts two arches, two of courses
+and four of beams, of few blocks: every set of posts is tried."""
 
 
 @pytest.mark.parametrize(
-    ("name", "seed"), [(name, seed) for name, count in IN_SUITE.items() for seed in range(count)]
+    ("name", "seed"), [(name, seed) for name, seeds in IN_SUITE.items() for seed in seeds]
 )
 def test_what_is_planned_is_what_trying_out_says(name: str, seed: int) -> None:
     told = COMPARED[name](seed)

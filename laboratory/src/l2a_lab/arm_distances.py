@@ -93,6 +93,8 @@ class ArmDistances:
         far = np.linalg.norm(one.place[:, None] - two.place, axis=2)
         far = far - one.radius[:, None] - two.radius
         least = below
+        if far.min() >= least:
+            return least
         for number in np.argsort(far, axis=None).tolist():
             a, b = divmod(number, len(two.radius))
             if far[a, b] >= least:

@@ -103,9 +103,11 @@ class Motion(NamedTuple):
         if len(self.time) < 2:
             there = np.repeat(self.joints[:1], len(time), 0)
             return there, np.zeros_like(there)
-        k = np.clip(np.searchsorted(self.time, time, "right") - 1, 0, len(self.time) - 2)
-        h = np.diff(self.time)[k][:, None]
-        u = (np.clip(time, 0.0, self.seconds) - self.time[k])[:, None] / h
+        k = np.searchsorted(self.time, time, "right") - 1
+        k = np.minimum(np.maximum(k, 0), len(self.time) - 2)
+        begin = self.time[k]
+        h = (self.time[k + 1] - begin)[:, None]
+        u = (np.minimum(np.maximum(time, 0.0), self.seconds) - begin)[:, None] / h
         q0, q1 = self.joints[k], self.joints[k + 1]
         v0, v1 = self.velocity[k] * h, self.velocity[k + 1] * h
         bend, third = 3 * (q1 - q0) - 2 * v0 - v1, v0 + v1 - 2 * (q1 - q0)

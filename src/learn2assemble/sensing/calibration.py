@@ -251,7 +251,7 @@ def table_sightings(picture: DepthPicture, camera: DepthCamera) -> list[Sighting
     if len(local) < 3:
         return []
     rng = np.random.default_rng(0)
-    sigma = np.array([camera.sigma(z) for z in local[:, 2]])
+    sigma = camera.sigmas(local[:, 2])
     best = np.zeros(len(local), bool)
     for _ in range(60):
         a, b, c = local[rng.choice(len(local), 3, replace=False)]

@@ -81,8 +81,12 @@ class DepthCamera:
 
     def sigma(self, depth: float) -> float:
         """Standard deviation of a reading of one look at a depth [m]."""
-        one = float(self.noise.sigma(np.array(depth)))
-        return one * (math.sqrt(math.pi / 2 / self.frames) if self.frames > 2 else 1.0)
+        return float(self.sigmas(np.array(depth)))
+
+    def sigmas(self, depth: np.ndarray) -> np.ndarray:
+        """The same at many depths [m]."""
+        share = math.sqrt(math.pi / 2 / self.frames) if self.frames > 2 else 1.0
+        return self.noise.sigma(depth) * share
 
     @property
     def focal(self) -> float:

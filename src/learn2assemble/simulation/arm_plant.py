@@ -171,10 +171,11 @@ class ArmPlant:
             return
         scene, rows = cell.scene()
         members = rows[aim]
-        low, high = scene.bounds()
-        boxes = list(zip(low[members], high[members], strict=True))
         ends = scene.position[members]
-        if held:
+        if not held:
+            low, high = scene.bounds()
+            boxes = list(zip(low[members], high[members], strict=True))
+        else:
             # Where it will be when the hand is there.
             now, rotation = sim.tool()
             change = turn @ rotation.T

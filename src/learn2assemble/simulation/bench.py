@@ -275,8 +275,10 @@ def sampled(motion: Motion) -> PathSamples:
         q, v = motion.joints, motion.velocity
     else:
         q, v = motion.at(even)
-    a = np.gradient(v, TIMESTEP, axis=0)
-    return PathSamples(np.zeros((count, 3)), q[1:], v[1:], a[1:])
+    a = np.empty((count, n))
+    a[:-1] = (v[2:] - v[:-2]) / (2 * TIMESTEP)
+    a[-1] = (v[-1] - v[-2]) / TIMESTEP
+    return PathSamples(np.zeros((count, 3)), q[1:], v[1:], a)
 
 
 def braked(limits: Any, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> PathSamples:

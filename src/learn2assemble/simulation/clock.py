@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from threading import Semaphore
+from threading import Lock
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -24,8 +24,9 @@ class SharedClock:
 
     def __init__(self, advance: Callable[[frozenset[int]], None]) -> None:
         self._advance = advance
-        self._turns: dict[int, Semaphore] = {}
-        """Of the jobs that are not over, in their order."""
+        self._turns: dict[int, Lock] = {}
+        """Of the jobs that are not over, in their order: a lock that opens when it is its turn. A
+        semaphore, whose counting is Python, takes longer than many a step."""
         self._waiting: set[int] = set()
 
     def tick(self, who: int) -> None:
@@ -56,7 +57,9 @@ class SharedClock:
         Returns:
             What they return, in their order.
         """
-        self._turns = {number: Semaphore(0) for number in range(len(jobs))}
+        self._turns = {number: Lock() for number in range(len(jobs))}
+        for turn in self._turns.values():
+            turn.acquire()
 
         def work(number: int) -> T:
             self._turns[number].acquire()

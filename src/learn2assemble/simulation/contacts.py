@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import NamedTuple
 
 import mujoco
@@ -40,14 +41,19 @@ class Rules(NamedTuple):
     """That object with table or other blocks."""
 
     def thresholds(self) -> np.ndarray:
-        """float64[5, 5]: the forces [N] by classes of the two geoms."""
-        arm, target, held = (np.inf if force is None else force for force in self)
-        table = np.full((len(_CLASSES), len(_CLASSES)), np.inf)
-        for part in (_ARM, _PAD):
-            table[part, [_TABLE, _OTHER, _ARM]] = arm
-            table[part, _TARGET] = target
-        table[_TARGET, [_TABLE, _OTHER]] = held
-        return np.minimum(table, table.T)
+        """float64[5, 5]: the forces [N] by classes of the two geoms; to be read only."""
+        return _thresholds(self)
+
+
+@lru_cache(maxsize=256)
+def _thresholds(rules: Rules) -> np.ndarray:
+    arm, target, held = (np.inf if force is None else force for force in rules)
+    table = np.full((len(_CLASSES), len(_CLASSES)), np.inf)
+    for part in (_ARM, _PAD):
+        table[part, [_TABLE, _OTHER, _ARM]] = arm
+        table[part, _TARGET] = target
+    table[_TARGET, [_TABLE, _OTHER]] = held
+    return np.minimum(table, table.T)
 
 
 class Watch(NamedTuple):

@@ -104,19 +104,29 @@ class Vacuum:
         self.model.eq_data[self._weld] = before.model.eq_data[before._weld]
         self.data.eq_active[self._weld] = 1
 
-    def load(self) -> tuple[np.ndarray, np.ndarray]:
+    def load(self, first: int) -> tuple[np.ndarray, np.ndarray]:
         """What the held block loads the cup with: force [N] and moment about the tool point [N m],
-        each float64[3] in the tool frame."""
+        each float64[3] in the tool frame.
+
+        Args:
+            first: row of the weld among the constraints.
+        """
         d, w = self.data, self.world
-        # Of the weld, among the equalities, which come first: the force at the cup, then the moment
-        # in the frame of the block, in units of twice the turn.
-        first = int(np.argmax(d.efc_id[: d.ne] == self._weld))
+        # The force at the cup, then the moment in the frame of the block, in units of twice the
+        # turn.
         rows = d.efc_force[first : first + 6]
         tool = d.site_xmat[self.parts.tool].reshape(3, 3)
         if self.used.lip.axis != UPRIGHT:
             tool = tool @ self.used.lip.frame()
         block = d.xmat[w.first + (self.held or 0)].reshape(3, 3)
         return tool.T @ rows[:3], 0.5 * (tool.T @ (block @ rows[3:]))
+
+    def _row(self) -> int | None:
+        """The first row of the weld among the equalities, which come first of the constraints;
+        None where it has none yet."""
+        mine = self.data.efc_id[: self.data.ne] == self._weld
+        first = int(mine.argmax()) if len(mine) else 0
+        return first if len(mine) and mine[first] else None
 
     def _lip(self, cup: Cup) -> tuple[np.ndarray, np.ndarray]:
         """Where the middle of a lip is, float64[3] [m], and axes of the cup float64[3, 3]."""
@@ -185,9 +195,10 @@ class Vacuum:
 
     def _watch(self) -> None:
         """Compare the load with what the cup can hold."""
-        if not (self.data.efc_id[: self.data.ne] == self._weld).any():
+        row = self._row()
+        if row is None:
             return  # taken after this step
-        force, moment = self.load()
+        force, moment = self.load(row)
         off, slip = self.used.load(force, moment)
         self.most = max(self.most[0], off), max(self.most[1], slip)
         if off > 1:

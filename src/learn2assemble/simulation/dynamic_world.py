@@ -84,6 +84,8 @@ class DynamicWorld(SimulatedCell):
         self.turn: dict[str, np.ndarray] = {}
         """... and float64[4], how they are turned there: what is brought as one may be turned by
         quarters."""
+        self.alone: set[str] = set()
+        """Those whose frame is that of the object."""
         self.kinds: dict[str, int] = {name: number for number, name in enumerate(setup.kinds)}
         self.pairs: dict[tuple[int, int], tuple[int, int]] = {}
         """By rows of the scene, the kinds that each joint of studs joins."""
@@ -126,6 +128,8 @@ class DynamicWorld(SimulatedCell):
         """float64[7]: where the simulation has a block that is free."""
         pose = self.simulated.poses[self.number[name]]
         turn = pose[3:] / np.linalg.norm(pose[3:])
+        if name in self.alone:
+            return np.concatenate([pose[:3], turn])
         where = pose[:3] + quaternion_matrix(turn) @ self.offset[name]
         return np.array([*where, *quaternion_product(turn, self.turn[name])])
 
@@ -191,7 +195,7 @@ class DynamicWorld(SimulatedCell):
         objects = group(scene, scene.orientation, mask, thinner=thinner)
         of_row = {int(row): name for name, cells in rows.items() for row in cells}
         self.number = {name: int(objects.owner[rows[name][0]]) for name in sorted(free)}
-        self.offset, self.turn = {}, {}
+        self.offset, self.turn, self.alone = {}, {}, set()
         for name, number in self.number.items():
             centre = np.array(self.things[name].kind.shape[0].centre)
             row, lead = rows[name][0], objects.lead[number]
@@ -201,6 +205,8 @@ class DynamicWorld(SimulatedCell):
                 turn = quaternion_product(back, scene.orientation[row])
             self.offset[name] = objects.offset[row] - quaternion_matrix(turn) @ centre
             self.turn[name] = turn
+            if row == lead and not self.offset[name].any():
+                self.alone.add(name)
         leads = [of_row[row] for row in objects.lead.tolist()]
         still = [of_row.get(row, OBSTACLE) for row in np.flatnonzero(~mask).tolist()]
         poses = np.hstack([scene.position[objects.lead], scene.orientation[objects.lead]])
@@ -219,9 +225,10 @@ class DynamicWorld(SimulatedCell):
         fixed = [(kind, pose) for kind, pose in self.setup.fixed]
         names = list(self.things)
         lead: dict[int, int] = {}
-        blocks = [(one.kind, one.pose) for one in self.things.values()]
-        for k, (kind, pose) in enumerate([*fixed, *blocks]):
-            axes, first = quaternion_matrix(pose[3:]), len(place)
+        solids = [*fixed, *((one.kind, one.pose) for one in self.things.values())]
+        turned = quaternion_matrix(np.array([pose[3:] for _, pose in solids]).reshape(-1, 4))
+        for k, ((kind, pose), axes) in enumerate(zip(solids, turned, strict=True)):
+            first = len(place)
             for part in kind.shape:
                 place.append(pose[:3] + axes @ np.array(part.centre))
                 turn.append(pose[3:])

@@ -230,9 +230,9 @@ def bounds(thing: Thing) -> tuple[np.ndarray, np.ndarray]:
 def nearest(things: dict[str, Thing], points: list[np.ndarray], within: float) -> str | None:
     """The block whose surface, or inside, is nearest to one of these points float64[3], if it is
     ``within`` [m] of it."""
-    best, found = within, None
+    best, found, there = within, None, np.array(points)
     for name, thing in sorted(things.items()):
-        local = (np.array(points) - thing.pose[:3]) @ quaternion_matrix(thing.pose[3:])
+        local = (there - thing.pose[:3]) @ quaternion_matrix(thing.pose[3:])
         for part in thing.kind.shape:
             solid = part.solid
             beyond = (local - np.array(part.centre)) @ solid.normals.T - solid.offsets

@@ -163,17 +163,17 @@ class WorldChecker(CollisionChecker):
         if self._held is not None:
             edges, apart = self._past_edges()
             if len(apart):
-                pairs, distance = np.vstack([pairs, edges]), np.append(distance, apart)
+                pairs = np.concatenate([pairs, edges])
+                distance = np.concatenate([distance, apart])
         if not len(distance):
             return None, LOOK
         if besides is not None:
             others = (w.kind[pairs] != besides).all(1)
             pairs, distance = pairs[others], distance[others]
         sort = self._sort[pairs[:, 0], pairs[:, 1]]
-        least = np.array([margin - DEPTH, margin, SELF_MARGIN, -np.inf])[sort]
-        hits = np.flatnonzero(distance < least)
-        hit = self._say(pairs[hits[0]]) if len(hits) else None
-        return hit, float(np.min(distance[sort < 2], initial=LOOK))
+        hits = distance < np.array([margin - DEPTH, margin, SELF_MARGIN, -np.inf])[sort]
+        hit = self._say(pairs[hits.argmax()]) if hits.any() else None
+        return hit, float(distance[sort < 2].min(initial=LOOK))
 
     def _past_edges(self) -> tuple[np.ndarray, np.ndarray]:
         """Boxes that are near to one in the hand, int[k, 2] pairs of geoms, and how near [m].
@@ -183,18 +183,19 @@ class WorldChecker(CollisionChecker):
         """
         m, d = self.model, self.data
         own, others = self._boxes
-        away = np.linalg.norm(d.geom_xpos[own][:, None] - d.geom_xpos[others], axis=2)
-        near = np.argwhere(away < m.geom_rbound[own][:, None] + m.geom_rbound[others] + LOOK)
-        if not len(near):
-            return near, np.zeros(0)
-        one, two = own[near[:, 0]], others[near[:, 1]]
-        reach = [
-            (np.abs(d.geom_xmat[g].reshape(-1, 3, 3)) @ m.geom_size[g][:, :, None])[..., 0]
-            for g in (one, two)
-        ]
-        gap = np.abs(d.geom_xpos[one] - d.geom_xpos[two]) - reach[0] - reach[1]
+        where, size = d.geom_xpos, m.geom_size
+        way = where[own][:, None] - where[others]
+        away = np.sqrt((way * way).sum(2))
+        near = (away < m.geom_rbound[own][:, None] + m.geom_rbound[others] + LOOK).nonzero()
+        one, two = own[near[0]], others[near[1]]
+        gap = np.abs(way[near])
+        for geoms in (one, two) if len(one) else ():
+            turn = np.abs(d.geom_xmat[geoms].reshape(-1, 3, 3))
+            gap -= (turn @ size[geoms][:, :, None])[..., 0]
         close = (gap < LOOK).all(1)
-        pairs = np.column_stack([one, two])[close]
+        pairs = np.array([one[close], two[close]]).T
+        if not len(pairs):
+            return pairs, np.zeros(0)
         apart = [mujoco.mj_geomDistance(m, d, a, b, LOOK, None) for a, b in pairs.tolist()]
         found = np.array(apart, float)
         return pairs[found < LOOK], found[found < LOOK]
