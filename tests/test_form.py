@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import tree_of
 
 import learn2assemble as l2a
 from learn2assemble.cli import main
 from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError, as_options
-from source_trees import tree_of
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "learn2assemble"

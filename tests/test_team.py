@@ -406,7 +406,8 @@ def test_what_an_arm_holds_does_not_feel_that_the_other_one_begins() -> None:
     for _ in "12":
         cup = plant.plants[1].bench.sim.cup
         assert cup is not None
-        loads.append(np.hstack(cup.load()))
+        assert cup.row is not None
+        loads.append(np.hstack(cup.load(cup.row)))
         plant.acting = plant.plants[0]
         plant.enter({"a"})
     np.testing.assert_allclose(loads[1], loads[0], atol=0.02)

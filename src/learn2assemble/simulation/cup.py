@@ -109,7 +109,7 @@ class Vacuum:
         each float64[3] in the tool frame.
 
         Args:
-            first: row of the weld among the constraints.
+            first: :attr:`row` of the weld.
         """
         d, w = self.data, self.world
         # The force at the cup, then the moment in the frame of the block, in units of twice the
@@ -121,7 +121,8 @@ class Vacuum:
         block = d.xmat[w.first + (self.held or 0)].reshape(3, 3)
         return tool.T @ rows[:3], 0.5 * (tool.T @ (block @ rows[3:]))
 
-    def _row(self) -> int | None:
+    @property
+    def row(self) -> int | None:
         """The first row of the weld among the equalities, which come first of the constraints;
         None where it has none yet."""
         mine = self.data.efc_id[: self.data.ne] == self._weld
@@ -195,7 +196,7 @@ class Vacuum:
 
     def _watch(self) -> None:
         """Compare the load with what the cup can hold."""
-        row = self._row()
+        row = self.row
         if row is None:
             return  # taken after this step
         force, moment = self.load(row)
