@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import os
 import re
 from collections.abc import Iterator
@@ -35,12 +34,6 @@ def part_of(path: Path) -> str:
     if "laboratory" in path.parts:
         return "laboratory"
     return "tasks" if TASKS.search(path.read_text(encoding="utf-8")) else "product"
-
-
-@cache
-def tree_of(path: Path) -> ast.Module:
-    """The syntax of a file of the project, read once for all tests of a process."""
-    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -1,14 +1,16 @@
 """Programs that tests start: a headless browser that opens pages without a network, with what its
-pictures show, and scripts of the repository, run as a user runs them.
+pictures show, and scripts of the repository, run as a user runs them; and files as trees of syntax.
 """
 
 from __future__ import annotations
 
+import ast
 import io
 import os
 import shutil
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -124,3 +126,9 @@ class Terminal(io.StringIO):
 
     def isatty(self) -> bool:
         return True
+
+
+@cache
+def tree_of(path: Path) -> ast.Module:
+    """The syntax of a file of the project, read once for all tests of a process."""
+    return ast.parse(path.read_text(encoding="utf-8"))

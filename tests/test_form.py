@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import tree_of
 
 import learn2assemble as l2a
+from headless import tree_of
 from learn2assemble.cli import main
 from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError, as_options

@@ -15,7 +15,8 @@ from pathlib import Path
 
 import pytest
 from conftest import part_of as part_of_tests
-from conftest import tree_of
+
+from headless import tree_of
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "learn2assemble"
