@@ -69,10 +69,11 @@ PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n au
 suite: $(COMPILED)
 	$(PYTEST)
 
-# Compiling takes two cores for a minute, documents one; types fill what tests that wait leave free.
+# Compiling takes two cores for a minute; types and documents, which build what they show, fill what
+# tests that wait leave free.
 test: $(STAMP)
-	$(MAKE) --jobs 3 --output-sync=target $(COMPILED) style docs
-	$(MAKE) --jobs 2 suite types
+	$(MAKE) --jobs 3 --output-sync=target $(COMPILED) style
+	$(MAKE) --jobs 3 suite types docs
 
 test-product test-tasks test-laboratory: $(COMPILED)
 	$(PYTEST) -m $(subst test-,,$@)
