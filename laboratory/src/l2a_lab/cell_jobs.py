@@ -37,9 +37,9 @@ played different problems holds for both."""
 
 PLAYED = {"static": 8e-5, "rigid": 2e-4, "kinematic": 3e-4, "published": 6e-3, "dynamic": 6e-2}
 """Seconds of a processor that an episode takes for each node, by what checks placements; ..."""
-TRIED = {"static": 2.4e-6, "rigid": 5e-6, "kinematic": 1.6e-5, "published": 8e-5, "dynamic": 1.6e-5}
-"""... besides, for each placement that a search tries and each pair of nodes. The networks see all
-pairs, but only a long search has many to see."""
+TRIED = {"static": 4e-7, "rigid": 9e-7, "kinematic": 3e-6, "published": 1.5e-5, "dynamic": 3e-6}
+"""... besides, for each placement that a search tries of a decision, times nodes to the power of
+2.5: a decision for each, and the network sees pairs of them, but the nearest alone."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class CellJob:
             physics = "kinematic"  # They stand for it.
         tries = 0.0 if search is None else search.budget * min(search.rollout, 10)
         played = PLAYED.get(physics, max(PLAYED.values())) * nodes
-        tried = TRIED.get(physics, max(TRIED.values())) * tries * nodes**2
+        tried = TRIED.get(physics, max(TRIED.values())) * tries * nodes**2.5
         return (played + tried) * self.episodes
 
 
