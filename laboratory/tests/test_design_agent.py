@@ -24,6 +24,7 @@ from l2a_lab.builder.network import (
     load_builder,
     save_builder,
 )
+from l2a_lab.builder.search import RULES, lowest_largest, scarcest_cell
 from l2a_lab.builder.search import build as build_site
 from l2a_lab.builder.train import TEACHERS, BuilderConfig, train
 from learn2assemble.assembly.kit import load_kit, orientations
@@ -436,11 +437,44 @@ def test_a_measurement_tells_the_players_apart(monkeypatch: pytest.MonkeyPatch) 
         task = DesignTask(name, ("letters",), blocks=(3, 15), limited_heap=heap)
         monkeypatch.setitem(DESIGN_TASKS._entries, name, task)
     monkeypatch.setattr(builders, "SETS", sets)
-    found = builders.measure(load_builder(), builders.Measure(3, 1, 2, 2), None)
+    found = builders.measure([load_builder()], builders.Measure(3, 1, 2), None)
     for row in found["sets"].values():
         assert row["designs"] == 3
-        assert row["random alone"]["designs"] == 2
-        assert "other alone" not in row
-        assert row["agent with search"]["complete"] >= row["random alone"]["complete"]
-        assert row["agent alone"]["expanded_per_block"] <= 1.5
+        played = row["players"]
+        assert set(played) == {"builder-s0", *RULES}
+        assert all(set(how) == {"with search", "alone"} for how in played.values())
+        network, chance = played["builder-s0"], played["random"]
+        assert network["with search"]["complete"] >= chance["alone"]["complete"]
+        assert network["alone"]["expanded_per_block"] <= 1.5
         assert row["planners"]["exact"]["complete_and_proven"] == 1
+
+
+def test_rules_score_as_their_names_say() -> None:
+    """On a wall two cells high that ends beside a tower, built from nothing and half built."""
+    picture = np.array([[c == "#" for c in row] for row in ("######..#", "#########")])[::-1].T
+    world = LatticeWorld(make_site(picture[:, None, :], load_kit("bricks-lintels")))
+    found, size = world.site.found, world.site.found.size()
+    for _ in range(2):
+        legal = world.legal()
+        order = legal[np.argsort(-lowest_largest(world, legal), kind="stable")]
+        keys = [(int(found.origin[c, 2]), -int(size[c])) for c in order]
+        assert keys == sorted(keys)
+        assert len(set(keys)) > 2
+        scores = scarcest_cell(world, legal)
+        ways = np.zeros(world.owner.size, int)
+        for c in np.flatnonzero(world.alive):
+            ways[world.site.cells(int(c))] += 1
+        least = np.array([ways[world.site.cells(int(c))].min() for c in legal])
+        first = int(np.argmax(scores))
+        assert least[first] == least.min()
+        assert size[legal[first]] == size[legal[least == least.min()]].max()
+        assert world.place(int(order[0]))
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_rules_build_with_the_same_search(name: str) -> None:
+    """A plain wall: nothing can go wrong but for chance, and every state stands."""
+    site = make_site(np.ones((8, 1, 4), bool), load_kit("bricks-lintels"))
+    outcome = build_site(site, RULES[name])
+    assert outcome.complete
+    assert outcome.expanded <= 10 * len(outcome.world.placed)

@@ -71,33 +71,33 @@ def _train(options: argparse.Namespace, output: Output) -> None:
     "l2a-lab measure-builder --out out/builder --designs 20",
     _OUT,
     _SEED,
-    _AGENT,
-    arg("--beside", default=None, help="a second builder, trained otherwise"),
+    arg(
+        "--agent",
+        action="append",
+        help="shipped builder or .safetensors, several times for several (builder-s0)",
+    ),
     arg("--designs", type=count, default=200, help="of every small set"),
     arg("--large", type=count, default=20, help="designs of 200 to 400 blocks"),
-    arg("--compared", type=count, default=50, help="of a set, for other players"),
     arg("--exact", type=count, default=40, help="of a set, for both planners"),
     arg("--examples", type=named, default=None, help="folder of the examples"),
     learns=True,
 )
 def _measure(options: argparse.Namespace, output: Output) -> None:
-    """``builders.json``: what the builder builds, with search and alone, beside others."""
+    """``builders.json``: what builders build, with search and alone, beside rules."""
     import json
 
-    from l2a_lab.builder.measure import PLAYERS, Measure, measure
-    from l2a_lab.builder.network import load_builder
+    from l2a_lab.builder.measure import BUDGETS, Measure, measure
+    from l2a_lab.builder.network import DEFAULT, load_builder
     from learn2assemble.tasks.learning.run import provenance
 
-    builder = load_builder(options.agent)
-    other = None if options.beside is None else load_builder(options.beside)
+    builders = [load_builder(name) for name in options.agent or [DEFAULT]]
     if options.examples is not None:
         check_exists(options.examples, "folder of examples")
     if options.examples is not None and not options.examples.is_dir():
         raise InputError("--examples", str(options.examples), "a folder")
-    config = Measure(options.designs, options.large, options.compared, options.exact, options.seed)
+    config = Measure(options.designs, options.large, options.exact, options.seed)
     head = {
-        "agent": builder.name,
-        "other": options.beside,
+        "agents": [builder.name for builder in builders],
         "measure": vars(config),
         "machine": provenance("cpu"),
     }
@@ -107,18 +107,17 @@ def _measure(options: argparse.Namespace, output: Output) -> None:
         write_file(options.out / "builders.json", text + "\n", "--out")
 
     with claim_folder(options.out):
-        found = measure(builder, config, options.examples, output.progress, other, keep)
-    result = {**head, **found}
-    players = [name for name in PLAYERS if other is not None or not name.startswith("other")]
-    output.table(
-        "complete",
-        ("designs", *players),
-        [
-            (name, *(f"{row[player]['complete']:.1%}" for player in players))
-            for name, row in found["sets"].items()
-        ],
-    )
-    output.finish(result)
+        found = measure(builders, config, options.examples, output.progress, keep)
+    for name, row in found["sets"].items():
+        output.table(
+            f"complete of {name}",
+            ("player", *BUDGETS),
+            [
+                (player, *(f"{played[how]['complete']:.1%}" for how in BUDGETS))
+                for player, played in row["players"].items()
+            ],
+        )
+    output.finish({**head, **found})
 
 
 @command(

@@ -1,15 +1,15 @@
-"""How much of what people draw the builder builds, and what learning and search add.
+"""How much of what people draw builders build, and what learning and search add.
 
-Designs of held-out families, drawn from seeds that no training uses, are built by four players
-over the same candidates and rules: the network with search, the network alone, random scores with
-search, random scores alone. The exact planner is timed on the first of them, proof and margins
-included, beside the agent's plan with the same proof.
+Designs of held-out families, drawn from seeds that no training uses, are built by several players
+over the same candidates and rules: networks, and rules that nobody had to learn
+(:data:`~.search.RULES`), each with the same search and alone. The exact planner is timed on the
+first of them, proof and margins included, beside the plan of the first network with the same proof.
 """
 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -19,7 +19,7 @@ import numpy as np
 
 from l2a_lab.builder.network import Builder
 from l2a_lab.builder.planner import plan_with_agent
-from l2a_lab.builder.search import BUDGET, build
+from l2a_lab.builder.search import BUDGET, RULES, Score, build
 from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.read import read_design
@@ -29,22 +29,15 @@ from learn2assemble.tasks.designs import Solved, draw_letter, make_design, with_
 from learn2assemble.tasks.task import DESIGN_TASKS
 
 Progress = Callable[[str], None]
-PLAYERS: dict[str, tuple[str, int]] = {
-    "agent with search": ("agent", BUDGET),
-    "agent alone": ("agent", 1),
-    "other with search": ("other", BUDGET),
-    "other alone": ("other", 1),
-    "random with search": ("random", BUDGET),
-    "random alone": ("random", 1),
-}
-"""Who scores, and the budget; ``other`` is a second builder, where one is given."""
+BUDGETS = {"with search": BUDGET, "alone": 1}
+"""How every player builds: states per block that it may score."""
 SETS: dict[str, tuple[str, float]] = {
     "cubes, up to 60 blocks": ("designs-cubes-60-held-out", 0.95),
     "bricks-lintels, up to 60 blocks": ("designs-lintels-60-held-out", 0.90),
     "bricks-lintels, up to 60 blocks, limited heap": ("designs-lintels-60-heap-held-out", 0.80),
     "bricks-lintels, 200 to 400 blocks": ("designs-lintels-400-held-out", 0.85),
 }
-"""Task of every set, and the share asked of the agent with search. The designs of a set with a
+"""Task of every set, and the share asked of a builder with search. The designs of a set with a
 limited heap are those of the set before, with exactly the blocks of their solutions."""
 _EXACT_SECONDS = 120.0
 FIRST_SEED = 20_000_000
@@ -58,36 +51,33 @@ class Measure:
     Args:
         designs: of every set of small designs.
         large: of the set of large ones.
-        compared: of every set, built by the other players, too.
         exact: of every set, planned by the exact planner, too, and proven again.
         seed: of the designs.
     """
 
     designs: int = 200
     large: int = 20
-    compared: int = 50
     exact: int = 40
     seed: int = 0
 
 
 def measure(
-    builder: Builder,
+    builders: Sequence[Builder],
     config: Measure,
     examples: Path | None,
     progress: Progress = lambda text: None,
-    other: Builder | None = None,
     keep: Callable[[dict[str, Any]], None] = lambda found: None,
 ) -> dict[str, Any]:
-    """All figures of a builder.
+    """All figures of builders, of which the first one plans the examples.
 
     Args:
-        other: plays, too: one that was trained in another way.
         keep: given what is known so far after every set.
         examples: the folder of the examples; left out without it.
     """
-    scorers = {"agent": builder, "random": None} | ({"other": other} if other else {})
+    players: dict[str, Score | None] = {builder.name: builder for builder in builders}
+    players |= RULES
     sets: dict[str, Any] = {}
-    shown = {} if examples is None else measure_examples(builder, examples, progress)
+    shown = {} if examples is None else measure_examples(builders[0], examples, progress)
     found = {"examples": shown, "sets": sets}
     designs: list[Solved] = []
     for number, (name, (task, asked)) in enumerate(SETS.items()):
@@ -108,32 +98,28 @@ def measure(
             "designs": count,
             "families": dict(Counter(d.family for d in designs)),
             "blocks": [int(v) for v in np.quantile([len(d.order) for d in designs], (0, 0.5, 1))],
-            **{
-                player: _play(
-                    designs if scorer == "agent" else designs[: config.compared],
-                    scorers[scorer],
-                    budget,
-                    f"{name}: {player}",
-                    progress,
-                )
-                for player, (scorer, budget) in PLAYERS.items()
-                if scorer in scorers
+            "players": {
+                player: {
+                    how: _play(designs, score, budget, f"{name}: {player} {how}", progress)
+                    for how, budget in BUDGETS.items()
+                }
+                for player, score in players.items()
             },
-            "planners": _time_planners(designs[:exact], builder, progress, name),
+            "planners": _time_planners(designs[:exact], builders[0], progress, name),
         }
         keep(found)
     return found
 
 
 def _play(
-    designs: list[Solved], builder: Builder | None, budget: int, what: str, progress: Progress
+    designs: list[Solved], score: Score | None, budget: int, what: str, progress: Progress
 ) -> dict[str, Any]:
     complete, ratio, expanded, seconds, decisions = (list[float]() for _ in range(5))
     failed: Counter[str] = Counter()
     repairs = 0
     for k, design in enumerate(designs):
         progress(f"{what}, design {k + 1} of {len(designs)}")
-        outcome = build(design.site, builder, budget=budget, seed=k)
+        outcome = build(design.site, score, budget=budget, seed=k)
         blocks = len(outcome.world.placed)
         complete.append(outcome.complete)
         if outcome.complete:

@@ -15,7 +15,8 @@ import numpy as np
 
 from learn2assemble.errors import InputError, check_name, extra
 from learn2assemble.files import check_exists, write_file
-from learn2assemble.tasks.design_features import NUM_FEATURES, NUM_SUMMARY
+from learn2assemble.planning.tiling.world import LatticeWorld
+from learn2assemble.tasks.design_features import NUM_FEATURES, NUM_SUMMARY, describe
 from learn2assemble.tasks.networks.agent_file import described, read_description
 
 FORMAT = "learn2assemble-builder"
@@ -44,6 +45,10 @@ class Builder:
             summary: float32[NUM_SUMMARY].
         """
         return forward(self.weights, candidates, summary[None])
+
+    def __call__(self, world: LatticeWorld, candidates: np.ndarray) -> np.ndarray:
+        """Logits of candidates of a design that is being built (:data:`~.search.Score`)."""
+        return self.scores(*describe(world, candidates))
 
 
 def forward(weights: Any, candidates: Any, summary: Any) -> Any:

@@ -1,6 +1,8 @@
-"""Building a design with the network: the best candidate first, and repair at dead ends.
+"""Building a design by scores: the best candidate first, and repair at dead ends.
 
-**Budget.** A state is *expanded* when its candidates are described and scored by the network. A
+The scores are those of the network, or of a rule that nobody had to learn (:data:`RULES`).
+
+**Budget.** A state is *expanded* when its candidates are described and scored. A
 plan may expand ``budget`` states per block: every block beyond the most that ever stood together
 earns so many, and the search ends where they are used up. So a finished plan of n blocks has
 expanded at most ``budget * n`` states. Trying a scored candidate (its proof of equilibrium, and the
@@ -21,20 +23,21 @@ a stack of blocks below it can be its prop; what is finished has to stand withou
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from l2a_lab.builder.network import Builder
 from learn2assemble.linear_programs import INF, Clock
 from learn2assemble.planning.tiling.props import FIRM
 from learn2assemble.planning.tiling.world import LatticeSite, LatticeWorld
-from learn2assemble.tasks.design_features import describe
 
 if TYPE_CHECKING:
     from l2a_lab.builder.arm import Hand
 
+Score = Callable[[LatticeWorld, np.ndarray], np.ndarray]
+"""Logits float[m] of candidates int64[m] of what is built so far, the best one highest."""
 BUDGET = 10
 WINDOW = 384
 """Candidates scored at a time: the lowest, and of those the nearest to the last block."""
@@ -50,6 +53,28 @@ _SNAPSHOT = 16
 """Blocks between two states that are kept to go back to."""
 
 
+def lowest_largest(world: LatticeWorld, candidates: np.ndarray) -> np.ndarray:
+    """The lowest level first, and on it the largest block."""
+    found, size = world.site.found, world.site.found.size()
+    return size[candidates] / size.max() - found.origin[candidates, 2]
+
+
+def scarcest_cell(world: LatticeWorld, candidates: np.ndarray) -> np.ndarray:
+    """The open cell first that the fewest candidates would fill, and into it the largest block."""
+    site, size = world.site, world.site.found.size()
+    ways = [int(world.cover[site.cells(int(c))].min()) for c in candidates]
+    # As logs, so that noise and penalties swap cells of about as many candidates.
+    return 0.1 * size[candidates] / size.max() - np.log(ways)
+
+
+RULES: dict[str, Score | None] = {
+    "lowest level, then largest block": lowest_largest,
+    "scarcest cell first": scarcest_cell,
+    "random": None,
+}
+"""Scores that nobody had to learn, by name."""
+
+
 @dataclass(frozen=True, eq=False)
 class SearchOutcome:
     """How far a search came."""
@@ -57,7 +82,7 @@ class SearchOutcome:
     world: LatticeWorld
     """The state with the fewest open cells."""
     expanded: int
-    """States scored by the network, over the whole search."""
+    """States scored, over the whole search."""
     repairs: int
     """Dead ends after which blocks were taken out."""
     seconds: float
@@ -83,10 +108,10 @@ def window(world: LatticeWorld, legal: np.ndarray, size: int = WINDOW) -> np.nda
 
 class _BuilderSearch:
     def __init__(
-        self, start: LatticeWorld, builder: Builder | None, seed: int, hand: Hand | None
+        self, start: LatticeWorld, score: Score | None, seed: int, hand: Hand | None
     ) -> None:
         self.site = site = start.site
-        self.builder, self.hand = builder, hand
+        self.score, self.hand = score, hand
         self.rng = np.random.default_rng(seed)
         self.world = start.copy()
         self.expanded = 0
@@ -106,10 +131,10 @@ class _BuilderSearch:
         self.expanded += 1
         if not len(candidates):
             return candidates
-        if self.builder is None:
+        if self.score is None:
             logits = self.rng.random(len(candidates))
         else:
-            logits = self.builder.scores(*describe(self.world, candidates))
+            logits = self.score(self.world, candidates)
         if self.hand is not None:
             logits = logits + self.hand.prefers(candidates)
         if self.site.props:
@@ -239,7 +264,7 @@ class _BuilderSearch:
 
 def build(
     start: LatticeSite | LatticeWorld,
-    builder: Builder | None,
+    score: Score | None,
     *,
     budget: float = BUDGET,
     seed: int = 0,
@@ -250,14 +275,14 @@ def build(
 
     Args:
         start: the design, or what there is of it.
-        builder: scores the candidates; None: they are scored at random.
+        score: of the candidates, such as a builder; None: they are scored at random.
         budget: expanded states per block; 1: no search.
         seed: of ties, of repairs and of random scores.
         seconds: wall-clock limit.
         hand: makes the placements; without one they make themselves.
     """
     start = start if isinstance(start, LatticeWorld) else LatticeWorld(start)
-    clock, search = Clock(seconds), _BuilderSearch(start, builder, seed, hand)
+    clock, search = Clock(seconds), _BuilderSearch(start, score, seed, hand)
     decisions: list[float] = []
 
     def finished(world: LatticeWorld, repairs: int, timed_out: bool = False) -> SearchOutcome:
