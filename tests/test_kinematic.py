@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from learn2assemble.constants import HALF
 from learn2assemble.errors import UnknownNameError
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.robot.approach import ApproachCache, tool_path
@@ -331,6 +332,28 @@ def test_an_attempt_leaves_the_scene_alone_and_forgets_the_last(panda: Kinematic
 
 
 # ---------------------------------------------------------------- boxes of any size, tools
+
+
+@pytest.mark.parametrize("sized", [False, True])
+def test_many_moves_in_one_scene_are_judged_as_each_alone(sized: bool) -> None:
+    """What a move took away, or put down, is where the scene has it when the next one begins: two
+    blocks can come to one place one after the other, and neither where the other one waits."""
+    there = scene([(0, 0, 0)], [(-2, -4, 0), (2, -4, 0)])
+    if sized:
+        there = there._replace(half=np.full((3, 3), HALF))
+    place, waits = cell(0, 0, 1), there.position[2]
+    tries = [(1, place), (2, place), (1, waits), (2, cell(0, -4, 0)), (1, place), (1, waits)]
+    kept = KinematicCell(get_arm("panda"))
+    judged = list[tuple[Outcome, str]]()
+    for number, target in tries:
+        move = Move(number, target, *BB)
+        alone, found = (one.attempt(there, move) for one in (KinematicCell(kept.arm), kept))
+        judged.append(outcome(found))
+        assert judged[-1] == outcome(alone)
+        for a, b in ((alone.pick, found.pick), (alone.place, found.place)):
+            assert (a is None) == (b is None)
+            assert a is None or np.array_equal(a, b)
+    assert [found == Outcome.REACHED for found, _ in judged] == [1, 1, 0, 1, 1, 0]
 
 
 def row(gap: float, target: int, size: tuple[float, float, float]) -> tuple[Scene, np.ndarray]:

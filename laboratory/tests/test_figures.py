@@ -21,7 +21,7 @@ from l2a_lab import designs as design_figures
 from l2a_lab import structures as figures
 from l2a_lab.__main__ import command_line
 from l2a_lab.arm_distances import MOMENTS
-from l2a_lab.curves import WITH_ROBOT, costs_told
+from l2a_lab.curves import WITH_ROBOT, costs_told, hours_told
 from l2a_lab.measured import measure
 from l2a_lab.meshes import MESHES, mesh_table
 from l2a_lab.states import count_states, every, largest_moves, opened, states_of, upright
@@ -473,6 +473,7 @@ def test_what_trainings_cost_is_that_of_their_logs() -> None:
     own = text.split("## What training with a robot costs\n")[1].split("\n## ")[0]
     rows = [line for line in own.splitlines() if line.startswith("|")]
     assert rows == costs_told(WITH_ROBOT, ROOT / "results" / "runs.jsonl.gz")
+    assert hours_told(WITH_ROBOT, ROOT / "results" / "runs.jsonl.gz") in own
 
 
 def test_the_table_of_bricks_is_that_of_the_file() -> None:

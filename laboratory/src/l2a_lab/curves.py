@@ -227,6 +227,16 @@ def costs_told(figures: Sequence[Curves], runs: Path) -> list[str]:
     return told
 
 
+def hours_told(figures: Sequence[Curves], runs: Path) -> str:
+    """What all trainings of some figures took together, as a sentence of the documents."""
+    logs = [log for figure in figures for _, some in _logs(figure, runs) for log in some]
+    hours = sum(float(log["seconds"][-1]) for log in logs) / 3600
+    return (
+        f"All {len(logs)} trainings took {hours:.0f} hours of one core by their logs, so one run "
+        f"with two workers takes {hours / 2:.0f}."
+    )
+
+
 def _logs(figure: Curves, pack: Path) -> Iterator[tuple[str, list[dict[str, np.ndarray]]]]:
     """Label and logs of every line that has runs; logs of one entry say nothing."""
     runs = read_runs(pack)

@@ -26,7 +26,7 @@ from learn2assemble.assembly.joints import (
 )
 from learn2assemble.assembly.values import Colour, coordinates
 from learn2assemble.errors import InputError, check_name, is_number
-from learn2assemble.geometry.hulls import convex_hull, cross_rows
+from learn2assemble.geometry.hulls import convex_hull, cross_product
 from learn2assemble.values import By
 
 MAX_VERTICES = 20_000
@@ -104,7 +104,7 @@ class Block:
         """Volume and centroid from the tetrahedra between a vertex and every face."""
         origin = self.vertices[0]
         corners = fan_triangles(self.vertices - origin, self.faces)
-        six = np.einsum("ij,ij->i", corners[:, 0], cross_rows(corners[:, 1], corners[:, 2]))
+        six = np.einsum("ij,ij->i", corners[:, 0], cross_product(corners[:, 1], corners[:, 2]))
         total = six.sum()
         if abs(total) < 1e-300:
             return 0.0, origin

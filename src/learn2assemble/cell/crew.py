@@ -32,6 +32,7 @@ from learn2assemble.cell.world import (
     moves,
     rows_of,
 )
+from learn2assemble.geometry.hulls import cross_product
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.planning.crew import Bringing
 from learn2assemble.robot.arm import Arm
@@ -366,7 +367,7 @@ def _farthest(
     for face, normal in enumerate(solid.normals):
         if (turn @ normal) @ approach > -1 + 1e-6:
             continue
-        axes = np.stack([way, np.cross(approach, way)])
+        axes = np.stack([way, cross_product(approach, way)])
         corners = (middle + solid.polygon(face) @ turn.T - point) @ axes.T
         room = shapely.get_coordinates(shapely.Polygon(corners).buffer(-inside))
         if not len(room):

@@ -308,10 +308,11 @@ def separation(
     return best
 
 
-def cross_rows(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """float64[n, 3]: cross products of rows float64[n, 3]; quicker than numpy's for few of them."""
+def cross_product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """float64[..., 3]: cross products of vectors, one float64[3] each or rows of them; quicker than
+    numpy's for few of them."""
     (x, y, z), (u, v, w) = a.T, b.T
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], 1)
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], -1)
 
 
 def area_vector(corners: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -71,12 +72,8 @@ class Attitude(NamedTuple):
     to it, and back along which it takes it away."""
 
     def rotation(self) -> np.ndarray:
-        """float64[3, 3]: the tool's axes as columns, world frame."""
-        c, s = math.cos(self.tilt), math.sin(self.tilt)
-        # Half a turn about x points the tool down; the tilt is about the tool's own y axis.
-        down = np.array([[c, 0.0, s], [0.0, -1.0, 0.0], [s, 0.0, -c]])
-        turn = yaw_matrix(self.yaw) @ down
-        return turn @ yaw_matrix(self.spin) if self.spin else turn
+        """float64[3, 3]: the tool's axes as columns, world frame; to be read only."""
+        return _rotation(self.yaw, self.tilt, self.spin)
 
     def approach(self) -> np.ndarray:
         """float64[3]: unit vector along which the hand comes to the cell, world frame."""
@@ -118,6 +115,18 @@ class Attitude(NamedTuple):
         if self.lip.at == self.aside == _NOWHERE:
             return point
         return point + self.rotation() @ (np.array(self.aside) - np.array(self.lip.at))
+
+
+@lru_cache(maxsize=4096)
+def _rotation(yaw: float, tilt: float, spin: float) -> np.ndarray:
+    """See :meth:`Attitude.rotation`: a move asks for it twenty times."""
+    c, s = math.cos(tilt), math.sin(tilt)
+    # Half a turn about x points the tool down; the tilt is about the tool's own y axis.
+    down = np.array([[c, 0.0, s], [0.0, -1.0, 0.0], [s, 0.0, -c]])
+    turn = yaw_matrix(yaw) @ down
+    turn = turn @ yaw_matrix(spin) if spin else turn
+    turn.flags.writeable = False
+    return turn
 
 
 UPRIGHT = math.radians(1.0)

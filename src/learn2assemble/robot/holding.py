@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
+from learn2assemble.geometry.hulls import cross_product
 from learn2assemble.robot.bodies import Shape, body_of
 from learn2assemble.robot.grasps import FIRST, MOST_TILT, UPRIGHT, Attitude, Lip, facing
 
@@ -72,7 +73,7 @@ class Hold(NamedTuple):
         turned by ``turn``; a cup at the side of a tool has the tool as upright as it can be."""
         axis, across = turn @ np.array(self.axis), turn @ np.array(self.across)
         if self.lip == FIRST:
-            return np.stack([np.cross(across, axis), across, axis], 1)
+            return np.stack([cross_product(across, axis), across, axis], 1)
         own = self.lip.frame()
         down = np.array([0.0, 0.0, -1.0])
         # The frame of the cup about its axis, so that the z axis of the tool points down most.
@@ -80,7 +81,7 @@ class Hold(NamedTuple):
         flat = down - axis * (axis @ down)
         size = float(np.linalg.norm(flat))
         u = flat / size if size > 1e-6 else across
-        v = np.cross(axis, u)
+        v = cross_product(axis, u)
         angle = math.atan2(in_cup[1], in_cup[0])
         c, s = math.cos(angle), math.sin(angle)
         # Cup axes x and y of which in_cup's horizontal part lies along u.
@@ -202,7 +203,7 @@ def _axes(normal: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """float64[2, 3]: two axes in a face, the first along its first edge."""
     along = corners[1] - corners[0]
     along = along / np.linalg.norm(along)
-    return np.stack([along, np.cross(normal, along)])
+    return np.stack([along, cross_product(normal, along)])
 
 
 def _along(normal: np.ndarray) -> np.ndarray:

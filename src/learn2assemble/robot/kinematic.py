@@ -140,6 +140,10 @@ class BlockChecker(CollisionChecker):
         self._pairs = np.empty((0, 2), np.int64)
         site = m.site(arm.tool)
         self._tool_position, self._tool_rotation = site.pos.copy(), rotation_matrix(site.quat)
+        self._scene: Scene | None = None
+        """What was put there last ..."""
+        self._moved: list[np.ndarray] = []
+        """... and cells that are elsewhere since."""
 
     def keep(self, apart: float) -> None:
         """From now on the hand has to be so far from everything [m]."""
@@ -147,7 +151,13 @@ class BlockChecker(CollisionChecker):
         m.body_margin[hand] = m.geom_margin[hand[m.geom_bodyid]] = apart
 
     def place(self, scene: Scene) -> None:
-        """Put the blocks where the cells of ``scene`` are."""
+        """Put the blocks where the cells of ``scene`` are, whose arrays nobody changes."""
+        if scene is self._scene:  # Of many moves in one scene only what they carry is elsewhere.
+            cells = np.concatenate([*self._moved, np.empty(0, np.int64)])
+            self._put(cells, scene.position[cells], scene.orientation[cells])
+            self._moved.clear()
+            return
+        self._scene = None
         n, d, m = len(scene.position), self.data, self.model
         table = m.body("table").id
         m.body_pos[table], m.body_quat[table] = table_pose(scene.table)
@@ -157,7 +167,9 @@ class BlockChecker(CollisionChecker):
             self._pairs = fillers(scene.position, scene.object_id)
             d.mocap_pos[self.num_cells + len(self._pairs) :] = _FAR
         d.mocap_pos[n : self.num_cells] = _FAR
-        self.put(np.arange(n), scene.position, scene.orientation)
+        self._put(np.arange(n), scene.position, scene.orientation)
+        self._scene = scene
+        self._moved.clear()
 
     def put(self, cells: np.ndarray, position: np.ndarray, quaternion: np.ndarray) -> None:
         """Move whole objects of the scene.
@@ -167,6 +179,10 @@ class BlockChecker(CollisionChecker):
             position: float64[c, 3], their centres [m].
             quaternion: float64[c, 4], their orientations.
         """
+        self._moved.append(cells)
+        self._put(cells, position, quaternion)
+
+    def _put(self, cells: np.ndarray, position: np.ndarray, quaternion: np.ndarray) -> None:
         d = self.data
         d.mocap_pos[cells], d.mocap_quat[cells] = position, quaternion
         if len(self._pairs):
@@ -314,6 +330,8 @@ class KinematicCell:
         self._boxes: BlockChecker | None = None
         self.apart: float = 0.0
         """How far the hand has to be from everything [m]."""
+        self._bounds: tuple[Scene, tuple[np.ndarray, np.ndarray]] | None = None
+        """The bounds of the scene that was asked for last."""
 
     def attempt(self, scene: Scene, move: Move) -> Attempt:
         """Outcome of a move; the scene is left alone."""
@@ -351,10 +369,21 @@ class KinematicCell:
         known.keep(self.apart)
         return known
 
-    def pick(self, scene: Scene, move: Move) -> Attempt:
-        """The first half of a move: what lies at its target does not matter, its height does."""
+    def _height(self, scene: Scene, move: Move) -> float:
+        """As :func:`~.moves.crossing_height`, of many moves in one scene."""
+        if self._bounds is None or self._bounds[0] is not scene:
+            self._bounds = scene, scene.bounds()
+        return crossing_height(scene, move, self._bounds[1])
+
+    def pick(self, scene: Scene, move: Move, height: float | None = None) -> Attempt:
+        """The first half of a move: what lies at its target does not matter, its height does.
+
+        Args:
+            height: of the tool between picking and placing, where it is known [m].
+        """
         self.collisions = self._checker(scene)
-        held, height = grip_width(scene, move.cell, move.grasp), crossing_height(scene, move)
+        held = grip_width(scene, move.cell, move.grasp)
+        height = self._height(scene, move) if height is None else height
         opening = held + ROOM
         pick = self.approaches.solve(
             scene.position[move.cell], move.grasp, height, move.grasp.straight
@@ -373,8 +402,9 @@ class KinematicCell:
         return Attempt(Outcome.REACHED, pick=pick)
 
     def _attempt(self, scene: Scene, move: Move) -> Attempt:
-        picked = self.pick(scene, move)
-        pick, height = picked.pick, crossing_height(scene, move)
+        height = self._height(scene, move)
+        picked = self.pick(scene, move, height)
+        pick = picked.pick
         if pick is None:
             return picked
         held, members = grip_width(scene, move.cell, move.grasp), scene.members(move.cell)
@@ -417,7 +447,7 @@ class KinematicCell:
             joints: float64[n], of the arm that holds it [rad].
         """
         self.collisions = self._checker(scene)
-        way = tool_path(move.target, move.place, crossing_height(scene, move))
+        way = tool_path(move.target, move.place, self._height(scene, move))
         leave = follow_poses(self.arm, way.position, way.rotation, joints, jump=JUMP)
         if isinstance(leave, str):
             return Attempt(Outcome.UNREACHABLE, "release", leave)

@@ -309,17 +309,22 @@ LEVEL, FINE_LEVEL = 0.05, 0.01
 repeat [m]."""
 
 
-def crossing_height(scene: Scene, move: Move) -> float:
+def crossing_height(
+    scene: Scene, move: Move, bounds: tuple[np.ndarray, np.ndarray] | None = None
+) -> float:
     """Height of the tool between picking and placing [m].
 
     What hangs below the grasped cell, and the fingertips, pass above everything else but what
     stands at the side.
+
+    Args:
+        bounds: of the scene, where they are known.
     """
     members = scene.members(move.cell)
     counts = np.ones(len(scene.position), bool) if scene.aside is None else ~_passed(scene, move)
     counts[members] = False
     others = np.flatnonzero(counts)
-    low, high = scene.bounds()
+    low, high = scene.bounds() if bounds is None else bounds
     highest = float(np.max(high[others, 2], initial=0.0))
     there, quaternion = carried(scene, move, members)
     placed = scene.rows(members, 0)._replace(position=there, quaternion=quaternion)

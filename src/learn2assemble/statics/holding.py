@@ -22,7 +22,7 @@ from learn2assemble.assembly.hands import Hand
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import Learn2AssembleError
 from learn2assemble.geometry.circles import inner_circle
-from learn2assemble.geometry.hulls import cross_rows
+from learn2assemble.geometry.hulls import cross_product
 from learn2assemble.statics.hands import NO_HANDS, HeldBlock, held_blocks, held_meanwhile
 from learn2assemble.statics.holding_forces import Columns, Forces, forces_of, joined
 from learn2assemble.statics.holding_solver import (
@@ -183,7 +183,7 @@ class Balance:
         arm = columns.at[:, None] - centre[body]
         force = columns.force[:, None] * [[1.0], [-1.0]]
         couple = columns.couple[:, None] * [[1.0], [-1.0]]
-        turning = cross_rows(arm.reshape(-1, 3), force.reshape(-1, 3)).reshape(arm.shape)
+        turning = cross_product(arm.reshape(-1, 3), force.reshape(-1, 3)).reshape(arm.shape)
         wrench = np.concatenate([force, (turning + couple) / self._length], 2)
         borne = (body >= 0) & ~self.fixed[body]
         there = (np.abs(wrench) > 1e-12) & borne[..., None]
