@@ -21,6 +21,8 @@ from l2a_lab import designs as design_figures
 from l2a_lab import structures as figures
 from l2a_lab.__main__ import command_line
 from l2a_lab.arm_distances import MOMENTS
+from l2a_lab.builder.measure import BUDGETS, complete_told
+from l2a_lab.builder.search import RULES
 from l2a_lab.curves import WITH_ROBOT, costs_told, hours_told
 from l2a_lab.measured import measure
 from l2a_lab.meshes import MESHES, mesh_table
@@ -466,6 +468,27 @@ def test_the_table_of_two_arms_is_that_of_the_file() -> None:
     assert holds_told(TWO_ARMS) in own
     assert holds_told(TWO_ARMS, "arch of 21") in own
     assert holds_told(TWO_ARMS, kind="noise") in own
+
+
+def test_the_table_of_builders_is_that_of_the_file() -> None:
+    text = (ROOT / "docs" / "methods" / "builder.md").read_text(encoding="utf-8")
+    sets = json.loads((ROOT / "results" / "designs_agent.json").read_text())["sets"]
+    assert "\n".join(complete_told(sets)) in text
+    # What the sentences behind it say.
+    played = sets["bricks-lintels, up to 60 blocks"]["players"]
+    most, best = (
+        played["builder-s0"]["with search"],
+        [played[rule]["with search"] for rule in RULES],
+    )
+    assert max(abs(most["complete"] - one["complete"]) for one in best[:2]) < 0.02
+    fewer = [
+        most["blocks_per_block_of_exact"] / one["blocks_per_block_of_exact"] for one in best[:2]
+    ]
+    assert all(round(100 * (1 - share)) == 3 for share in fewer)
+    cubes = sets["cubes, up to 60 blocks"]["players"].values()
+    assert all(one[how]["complete"] == 1 for one in cubes for how in BUDGETS)
+    large = sets["bricks-lintels, 200 to 400 blocks"]["players"].values()
+    assert all(one["with search"]["complete"] == 1 for one in large)
 
 
 def test_what_trainings_cost_is_that_of_their_logs() -> None:

@@ -111,6 +111,23 @@ def measure(
     return found
 
 
+def complete_told(sets: dict[str, Any]) -> list[str]:
+    """What share of the designs of bricks and lintels up to 60 blocks players complete, as a table
+    of the documents; and how many blocks for one of the known solution they take with search."""
+    some = [name for name in sets if name.startswith("bricks-lintels, up to")]
+    heads = ("any number: with search", "alone", "tight heap: with search", "alone")
+    told = [
+        f"| complete | {' | '.join(heads)} | blocks |",
+        "| --- |" + " ---: |" * (len(heads) + 1),
+    ]
+    for player in sets[some[0]]["players"]:
+        played = [sets[name]["players"][player] for name in some]
+        shares = [f"{100 * one[how]['complete']:.4g} %" for one in played for how in BUDGETS]
+        blocks = played[0]["with search"]["blocks_per_block_of_exact"]
+        told.append(f"| {player} | {' | '.join(shares)} | {blocks:.2f} |")
+    return told
+
+
 def _play(
     designs: list[Solved], score: Score | None, budget: int, what: str, progress: Progress
 ) -> dict[str, Any]:
