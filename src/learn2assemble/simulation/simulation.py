@@ -6,6 +6,7 @@
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -129,9 +130,8 @@ class SimulatedState:
         into it."""
         self.steps += 1
         d = self.data
-        if self.steps % BLOCK == 0 and not (
-            np.isfinite(d.qpos).all() and np.isfinite(d.qvel).all()
-        ):
+        # A sum is finite where all are, and half as long in the making.
+        if self.steps % BLOCK == 0 and not math.isfinite(d.qpos.sum() + d.qvel.sum()):
             more = {"began": self.began, "stage": self.stage}
             raise diverged(self.world, d, self.time, self.dump, **more)
 
