@@ -45,11 +45,6 @@ class Drives:
         self._damping = self.parts.damping + m.dof_damping[joint]
         self._entry = self._inertia_entries(joint)
         self._jacobian = np.empty((3, m.nv))
-        gripper = arm.gripper
-        self._closed: float = gripper.command(0.0) if self.parts.gripper >= 0 else 0.0
-        """What the fingers are told when they are shut, ..."""
-        self._wider: float = gripper.command(1.0) - self._closed if self.parts.gripper >= 0 else 0.0
-        """... and how much more for each meter between them."""
 
     def commands(
         self,
@@ -78,9 +73,10 @@ class Drives:
         told = position + load / parts.stiffness
         if parts.gripper < 0:
             return told
-        both = np.empty((len(told), told.shape[1] + 1))
-        both[:, :-1], both[:, -1] = told, self._closed + self._wider * width
-        return both
+        gripper = self.arm.gripper
+        closed = gripper.command(0.0)
+        opened = closed + (gripper.command(1.0) - closed) * width
+        return np.column_stack([told, np.broadcast_to(opened, len(told))])
 
     def _inertia_entries(self, joint: np.ndarray) -> np.ndarray:
         """int64[n, n]: where the joints' inertia is in the sparse matrix of MuJoCo."""

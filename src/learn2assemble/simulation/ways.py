@@ -74,9 +74,7 @@ class WorldChecker(CollisionChecker):
         self._arm_reach = _reaches(m, world)
         self._held: tuple[int, np.ndarray, np.ndarray] | None = None
         self._boxes = np.zeros(0, np.int64), np.zeros(0, np.int64)
-        """Geoms of what is held, and of all else that it may meet, where they are boxes, ..."""
-        self._apart: np.ndarray = np.zeros((0, 0))
-        """... and how far from each other their middles are where it is not looked closer [m]."""
+        """Geoms of what is held, and of all else that it may meet, where they are boxes."""
         self.empty(0.0)
 
     def empty(self, width: float) -> None:
@@ -97,8 +95,6 @@ class WorldChecker(CollisionChecker):
             np.flatnonzero(own),
             np.flatnonzero(boxes & things & ~own & ~self._is_arm),
         )
-        size = self.model.geom_rbound
-        self._apart = size[self._boxes[0]][:, None] + size[self._boxes[1]] + LOOK
 
     def put(self, target: int, position: np.ndarray, rotation: np.ndarray, width: float) -> None:
         """As :meth:`empty`, but one object stands here: float64[3] [m] and float64[3, 3]."""
@@ -190,7 +186,7 @@ class WorldChecker(CollisionChecker):
         where, size = d.geom_xpos, m.geom_size
         way = where[own][:, None] - where[others]
         away = np.sqrt((way * way).sum(2))
-        near = (away < self._apart).nonzero()
+        near = (away < m.geom_rbound[own][:, None] + m.geom_rbound[others] + LOOK).nonzero()
         one, two = own[near[0]], others[near[1]]
         gap = np.abs(way[near])
         for geoms in (one, two) if len(one) else ():
