@@ -81,6 +81,7 @@ def row_cells(table: Table, row: Row, column: int, agents: list[str]) -> list[Ce
             look_ahead=row.look_ahead if condition.physics == row.look_ahead else "",
         )
         for condition in table.conditions
+        if row.played_at(condition)
         for name, share in names.items()
     ]
 

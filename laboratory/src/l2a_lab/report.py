@@ -12,7 +12,7 @@ from itertools import groupby
 from typing import Any, NamedTuple
 
 from l2a_lab.numbers import EPISODES, NOT_MEASURED, Published, Summary, TableData, TableEntry
-from l2a_lab.table import HELPS, LOOK_AHEAD, MODEL_LABELS, OWN, PAPER_PROTOCOL, Condition
+from l2a_lab.table import HELPS, LOOK_AHEAD, MODEL_LABELS, OWN, PAPER_PROTOCOL, SEARCHED, Condition
 
 BETTER, LEVEL, WORSE = "▲", "=", "▼"
 """Ours beside a published number: better or worse by more than the intervals, or neither."""
@@ -72,8 +72,9 @@ def sections(data: TableData) -> list[TableSection]:
     for number, line in enumerate(zip(*data.entries, strict=True)):
         entries = [entry for entry in line if entry.row.played_in(number)]
         for condition in data.table.conditions:
-            columns = _columns(data, condition, entries)
-            rows = [[text(entry) for text in columns.values()] for entry in entries]
+            played = [entry for entry in entries if entry.row.played_at(condition)]
+            columns = _columns(data, condition, played)
+            rows = [[text(entry) for text in columns.values()] for entry in played]
             out.append(TableSection(entries[0].title, condition, list(columns), rows))
     return out
 
@@ -133,7 +134,7 @@ def lines(data: TableData) -> list[list[str]]:
     out: list[list[str]] = []
     for number, line in enumerate(zip(*data.entries, strict=True)):
         for entry in (entry for entry in line if entry.row.played_in(number)):
-            for condition in data.table.conditions:
+            for condition in filter(entry.row.played_at, data.table.conditions):
                 out.append([_written(value) for value in _figures(data, entry, condition)])
     return out
 
@@ -204,6 +205,8 @@ def notes(data: TableData) -> list[str]:
             "distinct: the search expands one of several placements that lead to the same "
             "structure (deviation D14)."
         )
+    if SEARCHED in data.table.conditions:
+        out.append(f"{SEARCHED.label}: agents play with a search alone.")
     tags = {row.help: HELPS[row.help] for row in data.table.rows if row.help}
     out += [f"{tag}: {words}" for tag, words in tags.items()]
     return out + list(data.table.notes)

@@ -66,6 +66,12 @@ PAPER_PROTOCOL = Condition(0.05)
 CONDITIONS = (PAPER_PROTOCOL, Condition(0.0))
 
 
+SEARCHED = Condition(0.0, "dynamic")
+"""What agents play with a search alone: an episode takes seconds, and what is left of the failures
+without chance is asked of the best that an agent can do; without a search the kinematic cell says
+it."""
+
+
 @dataclass(frozen=True)
 class Column:
     """One task of a table.
@@ -132,6 +138,10 @@ class Row:
     def played_in(self, column: int) -> bool:
         """Whether it is played in the column with this number."""
         return self.columns is None or column in self.columns
+
+    def played_at(self, condition: Condition) -> bool:
+        """Whether it is played under a condition."""
+        return condition != SEARCHED or bool(self.search) or not self.agents
 
     def search_config(self, epsilon: float) -> SearchConfig | None:
         """Its search at a chance ``epsilon`` of random choices."""
