@@ -548,6 +548,18 @@ def test_where_posts_do_not_help_and_a_hand_does_it_is_said() -> None:
     assert plan_assembly(arch, holds=1, supports="none").complete
 
 
+def test_where_not_even_the_first_block_stands_alone_a_hand_is_tried_too() -> None:
+    """Two slabs that lean against each other, cut flat at the ground and upright at the ridge."""
+    half = [(-0.1, 0.0), (-0.123, 0.0), (0.0, 0.213), (0.0, 0.173)]
+    slabs = [
+        hull_block(name, [(side * x, y, z) for x, z in half for y in (0.0, 0.1)])
+        for name, side in (("left", 1), ("right", -1))
+    ]
+    plan = plan_assembly(Assembly(tuple(slabs), friction=0.5))
+    assert plan.blocks.used == 0
+    assert "a hold would help: with one block held at a time it is built" in (plan.reason or "")
+
+
 def test_a_counterweight_comes_before_what_would_tip_without_it() -> None:
     """Level joints alone: b3 has room on b2, yet tips it over the edge of b1 until b4 is there."""
     heavy = {"density": 10000.0}

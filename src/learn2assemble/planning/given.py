@@ -164,18 +164,15 @@ def _advised(
     found: Sequenced, problem: OrderProblem, joints: Joints, supports: Supports, clock: Clock
 ) -> Sequenced:
     """What was not found, with what would help, which is tried first."""
-    if not found.steps or clock.left <= 0:
-        pass
-    elif not supports.posts and _completes(problem, replace(supports, posts=True), clock):
-        return replace(found, reason=f"{found.reason}; posts would help: with posts it is built")
-    elif supports.holds == 0 and _completes(problem, Supports(holds=1), clock):
-        return replace(
-            found,
-            reason=f"{found.reason}; a hold would help: with one block held at a time it is built",
-        )
-    if joints.decide(problem.friction[0]).result.stands:
-        return replace(found, reason=f"{found.reason}; all blocks together stand")
-    return found
+    if not joints.decide(problem.friction[0]).result.stands:
+        return found
+    more = "all blocks together stand"
+    if clock.left > 0:
+        if not supports.posts and _completes(problem, replace(supports, posts=True), clock):
+            more = "posts would help: with posts it is built"
+        elif supports.holds == 0 and _completes(problem, Supports(holds=1), clock):
+            more = "a hold would help: with one block held at a time it is built"
+    return replace(found, reason=f"{found.reason}; {more}")
 
 
 def _completes(problem: OrderProblem, supports: Supports, clock: Clock) -> bool:
