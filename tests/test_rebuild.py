@@ -14,11 +14,15 @@ from learn2assemble.assembly.blocks import Assembly, AssemblyStep
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.instructions import instructions
 from learn2assemble.assembly.kit import load_kit
+from learn2assemble.cell.carry_out import carry_out, prepare
+from learn2assemble.cell.state import Action, Choice
+from learn2assemble.cell.workcell import StepOf, Workcell
+from learn2assemble.cell.world import LOOSE, STANDING
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError
 from learn2assemble.jobs.build import build
 from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.rebuild import changed_over, rebuild
+from learn2assemble.planning.rebuild import changed_over, rebuild, with_copies
 from learn2assemble.statics.rigid_blocks import check
 from learn2assemble.statics.states import State
 
@@ -282,7 +286,7 @@ def test_a_drawing_is_filled_with_the_blocks_of_the_old_structure() -> None:
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        (("--arm", "panda"), "to take apart"),
+        (("--arm", "panda", "--arm", "ur5e"), "one arm"),
         (("--kit", "planks"), "kind of block"),
         (("--from", "new.npy"), "unknown format"),
         (("--kit", "lego", "--cell", "8"), "clutch"),
@@ -308,3 +312,106 @@ def test_bricks_and_dry_blocks_are_not_turned_into_one_another():
     clutching = replace(standing(dry), joint=load_kit("lego").joint)
     with pytest.raises(InputError, match="dry blocks"):
         rebuild(clutching, dry)
+
+
+def small_bricks(*rows: tuple[tuple[int, int], ...]) -> Plan:
+    """As :func:`bricks`, of a size that a cup lifts: cells of 40 mm."""
+    blocks = [
+        box_block(
+            f"{a}-{b}/{z}",
+            (a / 25, 0, z / 25),
+            (b / 25, 0.04, (z + 1) / 25),
+            kind=f"{b - a}",
+        )
+        for z, row in enumerate(rows)
+        for a, b in row
+    ]
+    return build(Assembly(tuple(blocks)))
+
+
+def test_an_arm_turns_one_structure_into_another() -> None:
+    old, new = small_bricks(((0, 2), (4, 5)), ((0, 1),)), small_bricks(((0, 2),), ((0, 2),))
+    plan = with_copies(rebuild(standing(old), new))
+    done = carry_out(plan, Workcell("ur5e"), joint=0.0)
+    assert done.complete, done.reason
+    assert [step.action for step in done.steps] == ["remove", "remove", "place"]
+    assert done.arm is not None
+    assert (done.arm.attempts, done.blocks.used) == (3, 2)
+    assert done.arm.error_worst is not None
+    assert done.arm.error_worst < 1e-3
+    assert done.coverage == 1
+    check_states(done)
+    assert {block.id for block in standing(done).finished.blocks} == {"0-2/0", "0-2/1"}
+
+
+def test_what_leaves_and_comes_back_is_any_block_of_its_kind_for_an_arm() -> None:
+    old, new = small_bricks(((0, 2),), ((0, 1),)), small_bricks(((0, 1),), ((0, 1),))
+    plan = rebuild(standing(old), new)
+    copied = with_copies(plan)
+    assert len(standing(copied).blocks) == len(standing(plan).blocks) + 1
+    assert [step.action for step in copied.steps] == [step.action for step in plan.steps]
+    check_states(copied)
+    done = carry_out(copied, Workcell("panda", physics="kinematic"), joint=0.0)
+    assert done.complete, done.reason
+    check_states(done)
+
+
+def test_what_stays_and_is_pushed_over_is_put_back() -> None:
+    old, new = small_bricks(((0, 2), (4, 5))), small_bricks(((0, 2),), ((0, 2),))
+    plan = with_copies(rebuild(standing(old), new))
+    found = prepare(plan, Workcell("panda", physics="kinematic"), 0.0)
+    known = Choice(found.job, found.order, found.structure)
+    kept = next(k for k in found.job.standing if StepOf(k, True) not in known.planned)
+    assert known.world.state[kept] == STANDING
+    known.world.state[kept] = LOOSE
+    known.world.pose[kept, :3] = [0.25, 0.1, 0.02]
+    action = known.choose()
+    assert isinstance(action, Action)
+    assert (action.block, action.what) == (kept, "place")
+
+
+def test_an_arm_keeps_every_state_standing_in_its_own_order() -> None:
+    kit, rng, tried = load_kit("cubes"), np.random.default_rng(28), 0
+    while tried < 6:
+        cells = [np.zeros((5, 1, 4), bool) for _ in range(2)]
+        for one in cells:
+            for x, high in enumerate(rng.integers(0, 4, 5).tolist()):
+                one[x, 0, :high] = True
+        if not all(one.any() for one in cells):
+            continue
+        old = build(cells[0], kit=kit)
+        plan = build(cells[1], kit=kit, old=standing(old))
+        if not plan.complete:
+            continue
+        tried += 1
+        plan = with_copies(plan)
+        found = prepare(plan, Workcell("ur5e", physics="kinematic"), kit.joint_gap)
+        assert not found.order.stuck
+        assert set(found.order.steps) == set(found.job.steps)
+        there = set(found.job.standing)
+        for step in found.order.steps:
+            assert (step.block in there) == step.remove
+            there ^= {step.block}
+            assert not any(found.structure.overlaps[k] & there for k in there)
+            blocks = tuple(standing(plan).blocks[k] for k in sorted(there))
+            whole = replace(standing(plan), blocks=blocks, steps=(), not_built=())
+            assert not blocks or check(whole).verdict != "falls"
+
+
+def test_an_arm_has_nothing_to_do_where_all_stays() -> None:
+    wall_ = small_bricks(((0, 2),), ((0, 1), (1, 2)))
+    plan = rebuild(standing(wall_), wall_)
+    done = carry_out(with_copies(plan), Workcell("ur5e", physics="kinematic"), joint=0.0)
+    assert (done.status, done.steps) == ("complete", ())
+
+
+def test_what_an_order_does_not_come_to_is_not_built() -> None:
+    old, new = bricks(((0, 1), (2, 3))), bricks(((0, 1), (2, 3)), ((0, 3),))
+    plan = rebuild(standing(old), new, seconds=60.0)
+    first = standing(plan).at_first
+    names = [b.id for b, here in zip(standing(plan).blocks, first, strict=True) if here]
+    assert sorted(names) == ["0-1/0", "2-3/0"]
+    cut = rebuild(standing(old), new, seconds=1e-9)
+    names = [b.id for b in standing(cut).blocks]
+    there = {n for n, here in zip(names, standing(cut).at_first, strict=True) if here}
+    assert there == {"0-1/0", "2-3/0"}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Annotated, Any, Literal, TypedDict, Unpack
@@ -324,11 +324,17 @@ class Assembly:
         joints = tuple(replace(one, joint=changed(one.joint)) for one in self.joints)
         return replace(self, joint=changed(self.joint), joints=joints)
 
-    def as_far_as_placed(self) -> Assembly:
-        """The same where free blocks that no step places are not built; itself without steps."""
-        placed = {step.place for step in self.steps}
+    def as_far_as_placed(self, first: Iterable[str] = ()) -> Assembly:
+        """The same where free blocks that no step places are not built; itself without steps, but
+        where something stands before the first one.
+
+        Args:
+            first: ids of the blocks that stand before the first step.
+        """
+        there = set(first)
+        placed = there | {step.place for step in self.steps}
         left = tuple(b.id for b in self.blocks if b.id not in placed and not b.support)
-        return replace(self, not_built=left) if self.steps else self
+        return replace(self, not_built=left) if self.steps or there else self
 
     def block(self, id_: str) -> Block:
         """The block called ``id_``."""

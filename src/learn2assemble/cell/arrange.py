@@ -69,16 +69,21 @@ class Structure:
 
     def __init__(self, job: Job) -> None:
         from learn2assemble.assembly.contacts import add_point_contacts, find_contacts
+        from learn2assemble.planning.changeover import overlapping
         from learn2assemble.statics.rigid_blocks import bed_patches
 
         self.job, self.contacts = job, find_contacts(job.assembly)
         self.lying: Contacts = self.contacts.only(bed_patches(self.contacts))
         count = len(job.pieces)
+        self.overlaps: list[frozenset[int]] = [frozenset()] * count
+        """Of each piece, those in whose places it is, too: of what goes before it comes."""
+        if job.standing:
+            self.overlaps = overlapping(job.assembly.blocks)
         self.below: list[set[int]] = [set() for _ in range(count)]
         self.above: list[set[int]] = [set() for _ in range(count)]
-        self._there = _stood_before(job.steps)
+        self._there = _stood_before(job)
         self._take_up()
-        last = {step.block for step in job.steps} - {
+        last = {*job.standing, *(step.block for step in job.steps)} - {
             step.block for step in job.steps if step.remove
         }
         if self._pressing(frozenset(last)) is None:
@@ -86,7 +91,7 @@ class Structure:
             self.contacts = add_point_contacts(job.assembly, self.contacts)
             self._take_up()
             self.leans = True
-        standing: set[int] = set()
+        standing = set(job.standing)
         self._proven = {frozenset(standing)}
         for step in job.steps:
             standing = standing - {step.block} if step.remove else standing | {step.block}
@@ -215,11 +220,11 @@ class Structure:
         return sorted(found, key=lambda k: -self.job.pieces[k].target[2])
 
 
-def _stood_before(steps: Sequence[StepOf]) -> dict[int, frozenset[int]]:
-    """By block, what stands when it is placed."""
-    found: dict[int, frozenset[int]] = {}
-    standing: frozenset[int] = frozenset()
-    for step in steps:
+def _stood_before(job: Job) -> dict[int, frozenset[int]]:
+    """By block, what stands when it is placed, or before the first step where it does, too."""
+    standing = frozenset(job.standing)
+    found = dict.fromkeys(job.standing, standing)
+    for step in job.steps:
         if step.remove:
             standing -= {step.block}
         else:
@@ -255,7 +260,7 @@ def ways_in(faces: Contacts, block: int, standing: set[int]) -> tuple[Direction,
 
 
 def segments(steps: Sequence[StepOf]) -> list[list[StepOf]]:
-    """The steps cut where a block is taken away: only placements of one part change places."""
+    """The steps cut where a block is taken away: only steps of one part change places."""
     return [list(group) for _, group in itertools.groupby(steps, key=lambda step: step.remove)]
 
 
@@ -309,16 +314,25 @@ def _arrange(
     progress: Progress,
 ) -> Arranged:
     world = WorkcellBlocks(job)
-    standing: set[int] = set()
+    standing = set(job.standing)
     order: list[StepOf] = []
     by_hand: set[StepOf] = set()
     found = Counting("steps in an order that the arm can do", len(job.steps), progress)
-    for part in segments(job.steps):
-        left = part if part[0].remove else sorted(part, key=lambda step: key(step.block))
+    # Where a structure stands already, blocks come and go in any order that is proven, and what may
+    # go does so first: the plan's order is one for hands that have room everywhere.
+    for part in [[*job.steps]] if job.standing else segments(job.steps):
+        left = [step for step in part if step.remove]
+        left += sorted((s for s in part if not s.remove), key=lambda step: key(step.block))
         while left:
             stuck: dict[int, str] = {}
             for step in left:
                 if not step.remove and not structure.below[step.block] <= standing:
+                    continue
+                # What is to go is not drawn out from below others, and what comes finds its place
+                # free.
+                held = structure.above if step.remove else structure.overlaps
+                if job.standing and held[step.block] & standing:
+                    stuck.setdefault(step.block, "others are in the way")
                     continue
                 after = standing - {step.block} if step.remove else standing | {step.block}
                 if not structure.stands(frozenset(after)):
@@ -331,10 +345,8 @@ def _arrange(
                     by_hand.add(step)
                     break
                 stuck[step.block] = why
-                if step.remove:
-                    return Arranged(tuple(order), stuck, frozenset(by_hand))
             else:
-                missing = {s.block: "what it stands on is missing" for s in left}
+                missing = {s.block: "what it stands on is missing" for s in left if not s.remove}
                 return Arranged(tuple(order), missing | stuck, frozenset(by_hand))
             left.remove(step)
             order.append(step)

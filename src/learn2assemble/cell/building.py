@@ -523,7 +523,7 @@ class Building:
         step = next(
             (
                 n
-                for n, s in enumerate(self.known.order, 1)
+                for n, s in enumerate(self.known.planned, 1)
                 if s.block == action.block and s.remove == (action.what == "remove")
             ),
             None,

@@ -136,7 +136,7 @@ def _refused(plan: Plan, found: Prepared, workcell: Workcell, advice: str) -> Pl
     blocks = [job.pieces[k].id for k in order.stuck]
     listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
     gone = any(step.block == number and step.remove for step in job.steps)
-    what = "take away" if gone and StepOf(number) in order.steps else "place"
+    what = "take away" if gone and StepOf(number) in (*job.first, *order.steps) else "place"
     which = f"{blocks[0]}: " if blocks[1:] else ""
     reason = f"the arm cannot {what} {listed}: {which}{why}"
     return replace(

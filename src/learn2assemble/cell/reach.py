@@ -494,6 +494,8 @@ def supplied(
     import shapely
 
     needed = Counter(job.pieces[step.block].shape for step in job.steps if not step.remove)
+    for step in job.steps:
+        needed[job.pieces[step.block].shape] += 0  # What only goes has to go somewhere, too.
     # What a user has given too few of runs empty, and the build waits for more.
     known = {source.shape for source in given}
     missing = [shape for shape, _ in needed.most_common() if shape not in known]
@@ -554,7 +556,7 @@ def _magazine_places(
     import shapely
 
     world = WorkcellBlocks(replace(job, sources=()))
-    kept = {s.block for s in job.steps} - {s.block for s in job.steps if s.remove}
+    kept = {*job.standing, *(s.block for s in job.steps)} - {s.block for s in job.steps if s.remove}
     for k in kept:
         world.pose[k], world.state[k] = world.target(k), STANDING
     rests = rests_of(job.pieces, shape)

@@ -82,7 +82,7 @@ def arm_report(
     attempts = len(building.known.attempts())
     satisfied = sum(
         building.known.satisfied(step)
-        for step in building.known.order
+        for step in building.known.planned
         if step not in building.known.by_hand and step.plain not in others
     )
     measured = measure(building, plant, {step.block for step in others})
@@ -237,7 +237,7 @@ def carried_out(
         for number, (who, d) in enumerate(attempted)
         if d.outcome == Outcome.REACHED.label and d.what not in ASIDE
     }
-    orders = chain.from_iterable(one.building.known.order for one in arms)
+    orders = chain.from_iterable(one.building.known.planned for one in arms)
     order = [step for step in dict.fromkeys(orders) if not step.group]
     apart = {step.block for step in order if step.beside is not None}
     done = [step.plain for step in order if building.known.satisfied(step)]
@@ -250,7 +250,8 @@ def carried_out(
         done.sort(key=lambda step: last[step][0] if step in last else -1)
     # What is only listed, not proven, has to be: of bricks an arm finds the order.
     same = done == list(proven) and all(step.proof for step in moved)
-    standing, covered, before = set[int](), 0.0, 0.0
+    standing = set(job.standing)
+    covered = before = _covered_first(job)
     steps: list[Step] = []
     share = {s.block: 0.0 for s in moved}
     for step in moved:
@@ -297,7 +298,8 @@ def carried_out(
         steps, made = _with_holds(plan, steps, made)
         of = [StepOf(s.block, s.action == "remove") for s in steps]
         numbers = {step: n for n, step in reversed([*enumerate(of, 1)])}
-    assembly = replace(plan.assembly, steps=tuple(made), not_built=()).as_far_as_placed()
+    assembly = replace(plan.assembly, steps=tuple(made), not_built=())
+    assembly = assembly.as_far_as_placed(plan.assembly.blocks[k].id for k in job.standing)
     ranges: dict[str, Any] = {}
     if not same:
         # The ranges of the planner hold for its states; these were proven for one friction and one
@@ -340,6 +342,13 @@ def carried_out(
         assembly=assembly,
         **ranges,
     )
+
+
+def _covered_first(job: Job) -> float:
+    """The share of what stands at last that does so before the first step."""
+    removed = {step.block for step in job.steps if step.remove}
+    last = {*job.standing, *(step.block for step in job.steps)} - removed
+    return round(len(last & set(job.standing)) / max(len(last), 1), 6)
 
 
 def _with_holds(

@@ -83,11 +83,15 @@ class Choice:
     """
 
     job: Job
+    planned: tuple[StepOf, ...]
+    """The steps of the order that was found."""
     order: tuple[StepOf, ...]
+    """These, behind those of what stands before the first one."""
     structure: Structure
 
     def __init__(self, job: Job, found: Arranged, structure: Structure) -> None:
-        self.job, self.order, self.structure = job, found.steps, structure
+        self.job, self.planned, self.structure = job, found.steps, structure
+        self.order = (*job.first, *found.steps)
         self.by_hand: frozenset[StepOf] = found.by_hand
         self.world: WorkcellBlocks = WorkcellBlocks(job)
         for step in self.order:

@@ -108,6 +108,14 @@ class Job:
     """Width of a vertical joint [m]."""
     hands: bool = False
     """Props that the arm cannot place or take away are placed and taken away by hand."""
+    standing: tuple[int, ...] = ()
+    """Pieces that stand before the first step, from below."""
+
+    @property
+    def first(self) -> tuple[StepOf, ...]:
+        """The steps that would have placed what stands before the first one, and do so again where
+        it does not stand any more."""
+        return tuple(StepOf(k) for k in self.standing)
 
     @property
     def base(self) -> np.ndarray:
@@ -123,7 +131,8 @@ def job_of(plan: Plan, arm: str, joint: float, hands: bool = False, holding: boo
         holding: whether blocks may be held; these steps are not part of the job.
 
     Raises:
-        InputError: for steps that hold a block, and for blocks of too many convex parts.
+        InputError: for steps that hold a block, for supports, and for blocks of too many convex
+            parts.
     """
     assert plan.assembly is not None
     holds = sum(step.action == "hold" for step in plan.steps)
@@ -132,12 +141,13 @@ def job_of(plan: Plan, arm: str, joint: float, hands: bool = False, holding: boo
         raise InputError("steps that hold a block", holds, expected)
     moved = [step for step in plan.steps if step.action in ("place", "remove")]
     steps = tuple(StepOf(step.block, step.action == "remove") for step in moved)
-    placed = {step.block for step in steps}
-    kept = [k for k in range(len(plan.assembly.blocks)) if k in placed]
-    if len(kept) < len(plan.assembly.blocks):
-        raise InputError("design", "blocks that stand before the first step", "none, for an arm")
+    if any(block.support for block in plan.assembly.blocks):
+        got = "supports, which stand before the first step and stay"
+        raise InputError("design", got, "none, for an arm")
+    pieces, first = pieces_of(plan.assembly), plan.assembly.at_first
+    standing = [k for k, there in enumerate(first) if there]
     return Job(
-        pieces_of(plan.assembly),
+        pieces,
         steps,
         plan.assembly,
         get_arm(arm),
@@ -145,6 +155,7 @@ def job_of(plan: Plan, arm: str, joint: float, hands: bool = False, holding: boo
         friction=plan.assembly.friction,
         joint=joint,
         hands=hands,
+        standing=tuple(sorted(standing, key=lambda k: float(pieces[k].extent[0][2]))),
     )
 
 

@@ -88,13 +88,15 @@ class WorkcellBlocks:
                 (
                     k
                     for k, p in enumerate(self.pieces)
-                    if source.presents(p) and self.source[k] is None
+                    if source.presents(p) and self.source[k] is None and k not in job.standing
                 ),
                 None,
             )
             if piece is not None:
                 self.source[piece], self.state[piece] = n, LOOSE
                 self.pose[piece] = self.presented(piece, n)
+        for k in job.standing:
+            self.state[k], self.pose[k] = STANDING, self.target(k)
         for k in range(count):
             if self.state[k] == STOCK:
                 self.hide(k)

@@ -53,6 +53,7 @@ from learn2assemble.robot.registry import ARMS
 from learn2assemble.statics.proofs import Bounds, value_range
 
 if TYPE_CHECKING:
+    from learn2assemble.cell.carry_out import Workcell
     from learn2assemble.cell.reach import ReachReport
     from learn2assemble.cell.site import Site
     from learn2assemble.cell.team import TeamReach
@@ -141,7 +142,7 @@ def build(
             assembly.files.read_assembly`): the plan begins with it and turns it into the design
             with its own blocks (:func:`learn2assemble.planning.rebuild.rebuild`): a drawing is
             filled with those alone, with others of their kinds, or with any of the kit, whichever
-            takes the fewest moves.
+            takes the fewest moves. One arm may carry it out, by way of magazines.
         reading: how to read a file or an array: ``unit``, ``cell``, ``size``, ``up``, ``depth``,
             ``cells_wide``, ``repair``, ``blocks``, ``colours``, see
             :class:`learn2assemble.design.reading.Reading`.
@@ -197,8 +198,8 @@ def build(
         agent = PLANNERS[planner].resolve_agent(agent)
     choice = PlannerChoice(planner or EXACT, agent, seed)
     how = None
-    if old is not None and arms:
-        raise InputError("arm", arm, "none with a structure to take apart: that is planned by hand")
+    if old is not None and len(arms) > 1:
+        raise InputError("arm", arms, "one arm, with a structure that is taken apart")
     standing = None if old is None else _read_old(old)
     if arms:
         how = ArmChoice(arms, tool, layout, physics, noise, state, seed)
@@ -232,6 +233,9 @@ def build(
     if how is not None and how.several:
         return _with_friction(team_plan(found, kit, how, help_, choice, given), friction)
     workcell = None if how is None else how.workcell(has_studs(found, kit))
+    last = workcell
+    if standing is not None:
+        workcell = None  # What an arm carries out is found from the plans of both structures.
     if isinstance(found, CellDesign):
         kit = kit_of(found, kit)
         props = supports != "none"
@@ -239,7 +243,8 @@ def build(
             kits = _kits_from(kit, standing)
             given["seconds"] = limit / len(kits)
             tried = [cells_plan(found, one, None, props, choice, given) for one in kits]
-            return _with_friction(_rebuilt(standing, tried, limit, progress), friction)
+            plan = _with_friction(_rebuilt(standing, tried, limit, progress), friction)
+            return _carried_out(plan, last, kit.joint_gap, progress)
         if kit.joint.law == "clutch":
             plan = bricks_plan(found, kit, workcell, help_, choice, given)
         else:
@@ -249,8 +254,11 @@ def build(
     else:
         plan = blocks_plan(found, workcell, help_, given)
         plan = replace(plan, design=replace(plan.design, source=source))
-    plan = plan if standing is None else _rebuilt(standing, [plan], limit, progress)
-    return _with_friction(plan, friction)
+    if standing is None:
+        return _with_friction(plan, friction)
+    plan = _with_friction(_rebuilt(standing, [plan], limit, progress), friction)
+    joint = found.kit.joint_gap if isinstance(found, Goals) else 0.0
+    return _carried_out(plan, last, joint, progress)
 
 
 def reach(
@@ -396,6 +404,23 @@ def _rebuilt(
         found,
         key=lambda plan: (not plan.complete, 0 if plan.rebuilt is None else plan.rebuilt.moves),
     )
+
+
+def _carried_out(
+    plan: Plan, workcell: Workcell | None, joint: float, progress: Callable[[str], None]
+) -> Plan:
+    """A plan from a structure that stands, carried out by an arm, if there is one: every block goes
+    to a magazine of its kind, and comes from there.
+
+    Args:
+        joint: width of a vertical joint [m].
+    """
+    if workcell is None or not plan.complete:
+        return plan
+    from learn2assemble.cell.carry_out import carry_out
+    from learn2assemble.planning.rebuild import with_copies
+
+    return carry_out(with_copies(plan), workcell, joint=joint, progress=progress)
 
 
 def _with_friction(plan: Plan, asked: Bounds) -> Plan:

@@ -246,13 +246,13 @@ def _run(
         _take_away(timed, setup, building)
 
     def satisfied() -> int:
-        return sum(known.satisfied(step) for step in known.order)
+        return sum(known.satisfied(step) for step in known.planned)
 
     def go_on(action: Action) -> bool:
         return confirm(satisfied(), f"{action.what} {building.world.pieces[action.block].id}")
 
     def by_robot() -> int:
-        own = (s for s in known.order if s not in known.by_hand and not s.group)
+        own = (s for s in known.planned if s not in known.by_hand and not s.group)
         return sum(known.satisfied(step) for step in own)
 
     before, begun = by_robot(), timed.last

@@ -60,8 +60,8 @@ def plan_of(
             )
         )
     blocks = replace(assembly, blocks=found.blocks, steps=tuple(made), not_built=())
-    if before is None:
-        blocks = blocks.as_far_as_placed()
+    first = [] if before is None else np.flatnonzero(before).tolist()
+    blocks = blocks.as_far_as_placed(found.blocks[k].id for k in first)
     return Plan(
         design=PlanDesign(name=assembly.name or "assembly", source="", block_edge=1.0),
         status="incomplete" if found.status == "not found" and found.steps else found.status,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep
 from learn2assemble.assembly.contacts import Contacts, add_point_contacts, find_contacts
 from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import Clock
@@ -27,7 +27,7 @@ from learn2assemble.planning.forward import Forward
 from learn2assemble.planning.given import contact_layers
 from learn2assemble.planning.given_plan import plan_of
 from learn2assemble.planning.orders import OrderProblem, site_of
-from learn2assemble.planning.plan import LARGEST, Plan, RebuildReport
+from learn2assemble.planning.plan import LARGEST, Plan, RebuildReport, Step
 from learn2assemble.planning.rebuilding import Rebuilt, count_moves, find_rebuilding
 from learn2assemble.planning.sequence import Sequenced, list_ids, reported
 from learn2assemble.statics.states import State
@@ -210,3 +210,31 @@ def _check_joints(old: Assembly, new: Assembly) -> None:
     if supports[0] != supports[1]:
         got = ", ".join(supports[0][:4]) or "none"
         raise InputError("old structure: supports", got, ", ".join(supports[1][:4]) or "none")
+
+
+def with_copies(plan: Plan) -> Plan:
+    """The plan in which a block that is taken away and comes again is another one from then on,
+    alike and in the same place: for who carries it out it is any block of its kind."""
+    assert plan.assembly is not None
+    blocks, steps, made = [*plan.assembly.blocks], list[Step](), list[AssemblyStep]()
+    names, copies, gone = {block.id for block in blocks}, dict[int, int](), set[int]()
+    for step, one in zip(plan.steps, plan.assembly.steps, strict=True):
+        if step.action == "place" and step.block in gone:
+            block = blocks[step.block]
+            name = f"{block.id}'"
+            while name in names:
+                name += "'"
+            names.add(name)
+            copies[step.block] = len(blocks)
+            blocks.append(replace(block, id=name))
+        if step.action == "remove":
+            gone.add(step.block)
+        now = copies.get(step.block, step.block)
+        told = {step.action: blocks[now].id}
+        steps.append(replace(step, block=now))
+        made.append(replace(one, **told))
+    return replace(
+        plan,
+        steps=tuple(steps),
+        assembly=replace(plan.assembly, blocks=tuple(blocks), steps=tuple(made)),
+    )
