@@ -1,7 +1,8 @@
 """Pairs of random designs of one heap, the one turned into the other, measured.
 
 The first design of a pair is built of any blocks; these are the heap that the second one is built
-of. Every second pair goes the other way round: what is missing then comes from the heap.
+of. Every second pair goes the other way round: what is missing then comes from the heap. The first
+ones are also carried out, by an arm in the dynamic cell.
 """
 
 from __future__ import annotations
@@ -14,9 +15,11 @@ import numpy as np
 
 from l2a_lab.measured import Result
 from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
+from learn2assemble.cell.carry_out import carry_out
+from learn2assemble.cell.workcell import Workcell
 from learn2assemble.jobs.build import build
 from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.rebuild import rebuild
+from learn2assemble.planning.rebuild import rebuild, with_copies
 from learn2assemble.statics.rigid_blocks import FALLS, check
 from learn2assemble.tasks.designs import FAMILIES, draw
 
@@ -27,12 +30,13 @@ SECONDS, DESIGN_SECONDS = 120.0, 5.0
 """Limits of an order with its proof, and of the plan of a design of a pair."""
 RATIO = 1.1
 """Moves over their bound, asked at most."""
+CARRIED, ARM, CELL = 5, "ur5e", 0.032
+"""So many pairs are carried out, by which arm, and the edge of a cell of their blocks [m]."""
 
 
 def rebuild_entry(seed: int) -> Result:
     """One pair by its seed; seconds are of the processor."""
-    first, second, drawn = _pair(np.random.default_rng([seed, 28]))
-    old, new = (second, first) if seed % 2 else (first, second)
+    old, new, drawn = _pair(seed, load_kit(DEFAULT_KIT))
     assert old.assembly is not None
     started = time.process_time()
     plan = rebuild(old.assembly, new, seconds=SECONDS)
@@ -57,9 +61,32 @@ def rebuild_entry(seed: int) -> Result:
     }
 
 
-def _pair(rng: np.random.Generator) -> tuple[Plan, Plan, int]:
-    """Two designs of one heap, and how many were drawn for them."""
-    kit, count = load_kit(DEFAULT_KIT), 0
+def carried_entry(seed: int) -> Result:
+    """One pair by its seed, carried out by an arm; seconds are of the processor."""
+    old, new, _ = _pair(seed, load_kit(DEFAULT_KIT).at_pitch((CELL, CELL, CELL)))
+    assert old.assembly is not None
+    started = time.process_time()
+    plan = with_copies(rebuild(old.assembly, new, seconds=SECONDS))
+    done = carry_out(plan, Workcell(ARM), joint=load_kit(DEFAULT_KIT).joint_gap)
+    used = time.process_time() - started
+    assert done.arm is not None
+    return {
+        "old": old.design.name,
+        "new": new.design.name,
+        "steps": len(plan.steps),
+        "status": done.status,
+        "reason": done.reason,
+        "attempts": done.arm.attempts,
+        "error_worst": done.arm.error_worst,
+        "robot_s": done.arm.seconds,
+        "states_that_fall": _falling(done) if done.complete else None,
+        "seconds": round(used, 3),
+    }
+
+
+def _pair(seed: int, kit: Kit) -> tuple[Plan, Plan, int]:
+    """A structure and what it is turned into, of one heap, and how many designs were drawn."""
+    rng, count = np.random.default_rng([seed, 28]), 0
     while True:
         first, drawn = _design(rng, kit, 30, MOST, 6 * MOST)
         count += drawn
@@ -73,7 +100,7 @@ def _pair(rng: np.random.Generator) -> tuple[Plan, Plan, int]:
         second, drawn = _design(rng, replace(kit, kinds=kinds), LEAST, first.blocks.used, cells)
         count += drawn
         if second is not None:
-            return first, second, count
+            return (second, first, count) if seed % 2 else (first, second, count)
 
 
 def _design(

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 from l2a_lab.fewest_posts import fewest_posts, random_assembly
 from l2a_lab.measured import Figures, Result
 from l2a_lab.meshes import MESHES, mesh_entry, mesh_rows
-from l2a_lab.rebuilding import PAIRS, RATIO, rebuild_entry
+from l2a_lab.rebuilding import CARRIED, PAIRS, RATIO, carried_entry, rebuild_entry
 from l2a_lab.states import GAP, count_states, every, largest_moves
 from l2a_lab.states import SECONDS as SIMULATED
 from learn2assemble.assembly.blocks import Assembly, Block
@@ -122,6 +122,7 @@ def names() -> list[str]:
     found += [f"posts/{seed}" for seed in range(RANDOM)]
     found += [f"pile/{seed}" for seed in range(PILES)]
     found += [f"rebuild/{seed}" for seed in range(PAIRS)]
+    found += [f"carried/{seed}" for seed in range(CARRIED)]
     return found + [f"states/{name}" for name in STATES if ORDERS[name].file.exists()]
 
 
@@ -149,6 +150,8 @@ def entry(name: str) -> Result:
         return mesh_entry(what)
     if kind == "rebuild":
         return rebuild_entry(int(what))
+    if kind == "carried":
+        return carried_entry(int(what))
     return pile_entry(int(what)) if kind == "pile" else posts_entry(int(what))
 
 
@@ -285,6 +288,14 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
         rows += _pile_rows(piles)
     if pairs := groups.get("rebuild"):
         rows += _pair_rows(pairs)
+    if carried := groups.get("carried"):
+        done = [one for one in carried.values() if one["status"] == "complete"]
+        got = f"{len(done)} of {len(carried)} complete"
+        if done:
+            tried = sum(one["attempts"] for one in done) / sum(one["steps"] for one in done)
+            worst = 1e3 * max(one["error_worst"] for one in done)
+            got += f", {tried:.3f} attempts a step, {worst:.2f} mm at most"
+        rows.append(("pairs carried out by one arm", "all", got))
     for name, one in groups.get("states", {}).items():
         got = f"{1e3 * one['largest_move_m']:.3f} mm, {one['simulated']} of {one['states']} states"
         rows.append((f"MuJoCo: {name}", f"<= {1e3 * LIMIT:g} mm", got))
