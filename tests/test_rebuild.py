@@ -286,7 +286,7 @@ def test_a_drawing_is_filled_with_the_blocks_of_the_old_structure() -> None:
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        (("--arm", "panda", "--arm", "ur5e"), "one arm"),
+        (("--arm", "panda", "--arm", "ur5e"), "one, with a structure"),
         (("--kit", "planks"), "kind of block"),
         (("--from", "new.npy"), "unknown format"),
         (("--kit", "lego", "--cell", "8"), "clutch"),

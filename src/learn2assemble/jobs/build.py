@@ -199,7 +199,7 @@ def build(
     choice = PlannerChoice(planner or EXACT, agent, seed)
     how = None
     if old is not None and len(arms) > 1:
-        raise InputError("arm", arms, "one arm, with a structure that is taken apart")
+        raise InputError("arm", f"{len(arms)} arms", "one, with a structure that is taken apart")
     standing = None if old is None else _read_old(old)
     if arms:
         how = ArmChoice(arms, tool, layout, physics, noise, state, seed)
