@@ -26,7 +26,10 @@ from l2a_lab.builder.search import RULES
 from l2a_lab.curves import WITH_ROBOT, costs_told, hours_told
 from l2a_lab.measured import measure
 from l2a_lab.meshes import MESHES, mesh_table
+from l2a_lab.numbers import load_table
+from l2a_lab.report import losses_told
 from l2a_lab.states import count_states, every, largest_moves, opened, states_of, upright
+from l2a_lab.tables import get_table
 from l2a_lab.two_arms import EIGHT, holds_told, stops_told, table
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep
 from learn2assemble.assembly.boxes import box_block
@@ -497,6 +500,15 @@ def test_what_trainings_cost_is_that_of_their_logs() -> None:
     rows = [line for line in own.splitlines() if line.startswith("|")]
     assert rows == costs_told(WITH_ROBOT, ROOT / "results" / "runs.jsonl.gz")
     assert hours_told(WITH_ROBOT, ROOT / "results" / "runs.jsonl.gz") in own
+
+
+def test_what_agents_lose_where_blocks_wait_anywhere_is_that_of_the_tables() -> None:
+    text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    own = text.split("## Blocks in rows, and anywhere\n")[1].split("\n## ")[0]
+    rows, anywhere = (load_table(get_table(name), ROOT / "results") for name in ("T4", "T4-random"))
+    told = losses_told(rows, anywhere)
+    assert [line for line in own.splitlines() if line.startswith("|")] == told
+    assert len(told) > 4
 
 
 def test_the_table_of_bricks_is_that_of_the_file() -> None:

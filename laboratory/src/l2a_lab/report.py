@@ -325,3 +325,27 @@ def _ours(condition: Condition, name: str, entry: TableEntry) -> str:
 
 def _two(value: float | None) -> str:
     return DASH if value is None else f"{value:.2f}"
+
+
+def losses_told(rows: TableData, anywhere: TableData) -> list[str]:
+    """What R of every row without a search loses from blocks that wait in rows to blocks that wait
+    anywhere, as lines of a Markdown table; empty where one of both was not measured.
+
+    Args:
+        rows, anywhere: two tables with the same rows, and columns in the same order.
+    """
+    conditions = [one for one in rows.table.conditions if compared(one)]
+    lines = [
+        f"| method | {' | '.join(column.task for column in rows.table.columns)} |",
+        f"| --- {'| --- ' * len(rows.table.columns)}|",
+    ]
+    for near, far in zip(rows.entries, anywhere.entries, strict=True):
+        if near[0].row.budget:
+            continue
+        told = list[str]()
+        for one, other in zip(near, far, strict=True):
+            pairs = [(one.results.get(c), other.results.get(c)) for c in conditions]
+            lost = [f"{a.R - b.R:.2f}" if a and b else "–" for a, b in pairs]
+            told.append(" / ".join(lost))
+        lines.append(f"| {near[0].row.name} | {' | '.join(told)} |")
+    return lines
