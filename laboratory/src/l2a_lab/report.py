@@ -329,7 +329,7 @@ def _two(value: float | None) -> str:
 
 def losses_told(rows: TableData, anywhere: TableData) -> list[str]:
     """What R of every row without a search loses from blocks that wait in rows to blocks that wait
-    anywhere, as lines of a Markdown table; empty where one of both was not measured.
+    anywhere, as lines of a Markdown table; a dash where one of both was not measured.
 
     Args:
         rows, anywhere: two tables with the same rows, and columns in the same order.
@@ -345,7 +345,7 @@ def losses_told(rows: TableData, anywhere: TableData) -> list[str]:
         told = list[str]()
         for one, other in zip(near, far, strict=True):
             pairs = [(one.results.get(c), other.results.get(c)) for c in conditions]
-            lost = [f"{a.R - b.R:.2f}" if a and b else "–" for a, b in pairs]
+            lost = [_two(a.R - b.R if a and b else None) for a, b in pairs]
             told.append(" / ".join(lost))
         lines.append(f"| {near[0].row.name} | {' | '.join(told)} |")
     return lines

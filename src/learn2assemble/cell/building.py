@@ -447,7 +447,7 @@ class Building:
                 self._take_back(k)
             gone = action.what == "remove" or (back and extra)
             world.state[k] = RETURNED if gone else LOST if extra else STOCK if back else LOOSE
-            if back and action.what == "away" and not extra:
+            if back and action.what in ("away", "remove") and not extra:
                 world.used[action.source or 0] -= 1
         for n in [k, *(n for n in world.visible() if n != k)]:
             if n == k and came.reached and not placing:
@@ -473,7 +473,8 @@ class Building:
                 and action.source is not None
                 and self._still_there(n, action.source)
             ):
-                world.state[n] = STOCK
+                # What was to be taken away and fell at its magazine is where it belongs.
+                world.state[n] = RETURNED if action.what == "remove" else STOCK
                 world.used[action.source] -= 1
                 self._take_back(n)
             elif upright:

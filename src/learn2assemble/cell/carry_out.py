@@ -59,6 +59,9 @@ def prepare(
         InputError: for what cannot be held or reached, and for a layout that does not work.
     """
     job = job_of(plan, workcell.arm, joint, workcell.hands)
+    if job.standing and job.assembly.holds:
+        got = "bricks that stand before the first step"
+        raise InputError("design", got, "none that clutch, for an arm")
     progress("looking where the arm stands and where blocks wait")
     job = set_up(job, workcell.arm, workcell.tool, workcell.site, progress)
     progress("looking for an order that the arm can do")
@@ -136,7 +139,11 @@ def _refused(plan: Plan, found: Prepared, workcell: Workcell, advice: str) -> Pl
     blocks = [job.pieces[k].id for k in order.stuck]
     listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
     gone = any(step.block == number and step.remove for step in job.steps)
-    what = "take away" if gone and StepOf(number) in (*job.first, *order.steps) else "place"
+    what = (
+        "take away"
+        if gone and (number in job.standing or StepOf(number) in order.steps)
+        else "place"
+    )
     which = f"{blocks[0]}: " if blocks[1:] else ""
     reason = f"the arm cannot {what} {listed}: {which}{why}"
     return replace(

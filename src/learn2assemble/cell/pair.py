@@ -111,6 +111,8 @@ def jobs_of(
         holding: whether the plan may have steps that hold a block.
     """
     alike = job_of(plan, workcell.arm, joint, workcell.hands, holding)
+    if alike.standing:
+        raise InputError("design", "blocks that stand before the first step", "none, for two arms")
     jobs = [
         replace(
             alike,

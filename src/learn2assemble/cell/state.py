@@ -86,7 +86,7 @@ class Choice:
     planned: tuple[StepOf, ...]
     """The steps of the order that was found."""
     order: tuple[StepOf, ...]
-    """These, behind those of what stands before the first one."""
+    """These, behind those of what stands before the first one and stays."""
     structure: Structure
 
     def __init__(self, job: Job, found: Arranged, structure: Structure) -> None:

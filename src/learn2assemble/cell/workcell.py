@@ -113,9 +113,10 @@ class Job:
 
     @property
     def first(self) -> tuple[StepOf, ...]:
-        """The steps that would have placed what stands before the first one, and do so again where
-        it does not stand any more."""
-        return tuple(StepOf(k) for k in self.standing)
+        """The steps that would have placed what stands before the first one and stays, and do so
+        again where it does not stand any more."""
+        removed = {step.block for step in self.steps if step.remove}
+        return tuple(StepOf(k) for k in self.standing if k not in removed)
 
     @property
     def base(self) -> np.ndarray:

@@ -233,9 +233,8 @@ def build(
     if how is not None and how.several:
         return _with_friction(team_plan(found, kit, how, help_, choice, given), friction)
     workcell = None if how is None else how.workcell(has_studs(found, kit))
-    last = workcell
-    if standing is not None:
-        workcell = None  # What an arm carries out is found from the plans of both structures.
+    # Where a structure stands, an arm carries out what is found from the plans of both.
+    builds = workcell if standing is None else None
     if isinstance(found, CellDesign):
         kit = kit_of(found, kit)
         props = supports != "none"
@@ -244,21 +243,21 @@ def build(
             given["seconds"] = limit / len(kits)
             tried = [cells_plan(found, one, None, props, choice, given) for one in kits]
             plan = _with_friction(_rebuilt(standing, tried, limit, progress), friction)
-            return _carried_out(plan, last, kit.joint_gap, progress)
+            return _carried_out(plan, workcell, kit.joint_gap, progress)
         if kit.joint.law == "clutch":
-            plan = bricks_plan(found, kit, workcell, help_, choice, given)
+            plan = bricks_plan(found, kit, builds, help_, choice, given)
         else:
-            plan = cells_plan(found, kit, workcell, props, choice, given)
+            plan = cells_plan(found, kit, builds, props, choice, given)
     elif isinstance(found, Goals):
-        plan = goals_plan(found, workcell, choice, given)
+        plan = goals_plan(found, builds, choice, given)
     else:
-        plan = blocks_plan(found, workcell, help_, given)
+        plan = blocks_plan(found, builds, help_, given)
         plan = replace(plan, design=replace(plan.design, source=source))
     if standing is None:
         return _with_friction(plan, friction)
     plan = _with_friction(_rebuilt(standing, [plan], limit, progress), friction)
     joint = found.kit.joint_gap if isinstance(found, Goals) else 0.0
-    return _carried_out(plan, last, joint, progress)
+    return _carried_out(plan, workcell, joint, progress)
 
 
 def reach(
