@@ -288,6 +288,16 @@ def test_a_drawing_is_filled_with_the_blocks_of_the_old_structure() -> None:
     assert told.moves < other.moves
 
 
+def test_a_drawing_that_kinds_of_the_old_structure_do_not_fill_is_filled_with_the_others() -> None:
+    kit = "bricks-lintels"
+    old = build(wall(4, 2), kit=kit)
+    assert {b.kind for b in standing(old).blocks} <= {"1x2", "1x4"}
+    odd = build(wall(3, 1), kit=kit, old=standing(old))
+    assert odd.complete, odd.reason
+    assert odd.rebuilt is not None
+    assert odd.rebuilt.supplied > 0
+
+
 @pytest.mark.parametrize(
     ("more", "said"),
     [

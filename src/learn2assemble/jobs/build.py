@@ -241,7 +241,14 @@ def build(
         if standing is not None:
             kits = _kits_from(kit, standing)
             given["seconds"] = limit / len(kits)
-            tried = [cells_plan(found, one, None, props, choice, given) for one in kits]
+            tried = list[Plan]()
+            for one in kits:
+                try:
+                    tried.append(cells_plan(found, one, None, props, choice, given))
+                except InputError:
+                    # Some of the blocks may not fill what all of them do.
+                    if one is kits[-1]:
+                        raise
             plan = _with_friction(_rebuilt(standing, tried, limit, progress), friction)
             return _carried_out(plan, workcell, kit.joint_gap, progress)
         if kit.joint.law == "clutch":
