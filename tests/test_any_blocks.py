@@ -20,10 +20,10 @@ from learn2assemble.assembly.blocks import Assembly, Block, hull_block
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.instruction_words import facts
 from learn2assemble.assembly.instructions import instructions
-from learn2assemble.cell.arrange import Structure
 from learn2assemble.cell.carry_out import Workcell, carry_out
 from learn2assemble.cell.pieces import pieces_of, ways_to_rest, with_rests
 from learn2assemble.cell.reach import check_held
+from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.workcell import job_of
 from learn2assemble.cli.commands import _print_plan
 from learn2assemble.cli.output import Output

@@ -10,10 +10,10 @@ import pytest
 import learn2assemble as l2a
 from brick_data import DUPLO, duplo, scene_of
 from learn2assemble.assembly.joints import Joint
-from learn2assemble.cell.brick_team import bricks_by_team
+from learn2assemble.cell.arrange import FINGERS, put_beside, steps_before
 from learn2assemble.cell.bricks import BrickStates, BrickStructure
 from learn2assemble.cell.crew import Member
-from learn2assemble.cell.pair import FINGERS, gather, put_beside, steps_before
+from learn2assemble.cell.pair import bricks_by_team, gather
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import set_up_team

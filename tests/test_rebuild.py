@@ -15,6 +15,7 @@ from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.instructions import instructions
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.carry_out import carry_out, prepare
+from learn2assemble.cell.crew import Member
 from learn2assemble.cell.pair import jobs_of
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
@@ -301,7 +302,7 @@ def test_a_drawing_that_kinds_of_the_old_structure_do_not_fill_is_filled_with_th
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        (("--arm", "panda", "--arm", "ur5e"), "one, with a structure"),
+        (("--arm", "panda", "--arm", "ur5e", "--physics", "kinematic"), "dynamic"),
         (("--kit", "planks"), "kind of block"),
         (("--from", "new.npy"), "unknown format"),
         (("--kit", "lego", "--cell", "8"), "clutch"),
@@ -401,13 +402,86 @@ def test_what_is_pushed_or_dropped_meanwhile_does_not_end_it(dropped: frozenset[
     assert not any("place 0-1/1" in one.detail for one in done.arm.failures)
 
 
-def test_what_stands_first_is_for_one_arm() -> None:
+def two_arms(plan: Plan) -> list[Member]:
+    assert plan.assembly is not None
+    arms = [SiteArm(name, name) for name in ("ur5e", "panda")]
+    return set_up_team(plan.assembly, arms, Site())
+
+
+def test_what_stands_first_is_not_for_arms_that_hold() -> None:
     old, new = small_bricks(((0, 2), (4, 5))), small_bricks(((0, 2),), ((0, 2),))
     plan = with_copies(rebuild(standing(old), new))
-    arms = [SiteArm(name, name) for name in ("ur5e", "panda")]
-    members = set_up_team(standing(new), arms, Site())
-    with pytest.raises(InputError, match="none, for two arms"):
-        jobs_of(plan, members, Workcell("ur5e"), 0.0)
+    with pytest.raises(InputError, match="none, with arms that hold"):
+        jobs_of(plan, two_arms(plan), Workcell("ur5e"), 0.0, holding=True)
+
+
+def test_what_is_taken_away_leaves_from_above_whoever_does_it() -> None:
+    old = small_bricks(((0, 2), (4, 6)), ((0, 1), (4, 5)))
+    new = small_bricks(((1, 5),), ((1, 3),))
+    plan = with_copies(rebuild(standing(old), new))
+    found = prepare(plan, Workcell("ur5e", physics="kinematic"), 0.0)
+    assert not found.order.stuck
+    steps = {(step.block, step.remove): step for step in found.order.steps}
+    known = Choice(found.job, found.order, found.structure)
+    named = {piece.id: k for k, piece in enumerate(found.job.pieces)}
+    low, high, other = (named[name] for name in ("0-2/0", "0-1/1", "4-5/1"))
+    # What lies above comes first, what lies far away waits for nothing; what comes to that place
+    # waits for all that was in it.
+    waits = known.waits
+    assert steps[high, True] in waits[steps[low, True]]
+    assert steps[other, True] not in waits.get(steps[high, True], set())
+    assert waits[steps[named["1-5/0"], False]] >= {steps[k, True] for k in (low, named["4-6/0"])}
+    # The other arm has chosen one of the two on top: this one does not wait for that.
+    known.elsewhere = {high}
+    action = known.choose()
+    assert isinstance(action, Action)
+    assert (action.block, action.what) == (other, "remove")
+
+
+def test_nothing_is_taken_away_while_another_arm_may_leave_it_unsupported() -> None:
+    """A board on three posts stands on the middle one alone, and not on the last one."""
+    ends = (0.0, 0.08, 0.16)
+    posts = [box_block(f"{k}", (x, 0, 0), (x + 0.04, 0.04, 0.04)) for k, x in enumerate(ends)]
+    board = box_block("board", (0, 0, 0.04), (0.2, 0.04, 0.08))
+    new = build(Assembly((posts[0], posts[2], board)))
+    found = prepare(
+        with_copies(rebuild(Assembly((*posts, board)), new)),
+        Workcell("ur5e", physics="kinematic"),
+        0.0,
+    )
+    known = Choice(found.job, found.order, found.structure)
+    named = {piece.id: k for k, piece in enumerate(found.job.pieces)}
+    first = StepOf(named["0"], True)
+    for elsewhere, bears in ((set[str](), True), ({"1"}, False), ({"2"}, True)):
+        known.elsewhere = {named[name] for name in elsewhere}
+        assert known.bears(first, known.standing()) == bears
+    # But nothing is drawn out from below the board.
+    middle = StepOf(named["1"], True)
+    assert next(s for s in known.planned if s.remove) != middle
+
+
+@pytest.mark.parametrize("noise", [(0.0, 0.0), (3e-4, 2e-3)])
+def test_two_arms_turn_one_structure_into_another(noise: tuple[float, float]) -> None:
+    old = small_bricks(((0, 2), (4, 6), (7, 9)), ((0, 1), (4, 5)))
+    new = small_bricks(((1, 5), (7, 9)), ((1, 3), (3, 5)), ((2, 4),))
+    done = build(
+        replace(new.assembly or Assembly(()), steps=()),
+        old=standing(old),
+        arm=("ur5e", "panda"),
+        noise=noise,
+        seed=2,
+    )
+    assert done.complete, done.reason
+    ids = {block.id.rstrip("'") for block in standing(done).finished.blocks}
+    assert ids == {"1-5/0", "7-9/0", "1-3/1", "3-5/1", "2-4/2"}
+    check_states(done)
+    did = [one.did for one in done.arms]
+    assert all(one is not None and one.attempts > 0 for one in did)
+    assert sum(one.attempts for one in did if one) >= len(done.steps)
+    assert max(one.error_worst or 0 for one in did if one) < (1e-3 if not any(noise) else 3e-3)
+    if not any(noise):
+        # What the other arm carries away is no disturbance.
+        assert not any(one.failures for one in did if one)
 
 
 def test_an_arm_keeps_every_state_standing_in_its_own_order() -> None:

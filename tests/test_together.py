@@ -20,8 +20,9 @@ from cell_shapes import SHAPES, wall
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.kit import DEFAULT_KIT, load_kit
+from learn2assemble.cell.arrange import BESIDE, HAND, lower_beside
 from learn2assemble.cell.carry_out import carry_out, prepare, setup_of
-from learn2assemble.cell.pair import BESIDE, HAND, Pair, gather, lower_beside
+from learn2assemble.cell.pair import Pair, gather
 from learn2assemble.cell.site import Obstacle, Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import set_up_team

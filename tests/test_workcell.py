@@ -18,7 +18,6 @@ import learn2assemble as l2a
 from cell_shapes import wall
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.kit import Kit, load_kit
-from learn2assemble.cell.arrange import Structure
 from learn2assemble.cell.carry_out import Workcell, carry_out, job_of, prepare
 from learn2assemble.cell.pieces import QUARTER, Piece, Pose, pieces_of
 from learn2assemble.cell.site import (
@@ -30,6 +29,7 @@ from learn2assemble.cell.site import (
     read_site,
 )
 from learn2assemble.cell.state import Choice, area
+from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.world import STANDING, WorkcellBlocks, rows_of
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError

@@ -206,8 +206,9 @@ def test_two_arms_build_together(crew: Pair) -> None:
     # No block came to where it would have been in the way of a lower one.
     placed = [turn.done.block for turn in sorted(both.turns, key=lambda turn: turn.end)]
     assert sorted(placed) == list(range(len(crew.found[0].job.pieces)))
-    assert all(both.under)
-    for step, lower in (item for under in both.under for item in under.items()):
+    waits = [building.known.waits for building in both.buildings]
+    assert all(waits)
+    for step, lower in (item for under in waits for item in under.items()):
         assert all(placed.index(one.block) < placed.index(step.block) for one in lower)
     job = crew.found[0].job
     truth = both.plant.truth()

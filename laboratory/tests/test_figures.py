@@ -27,6 +27,7 @@ from l2a_lab.curves import WITH_ROBOT, costs_told, hours_told
 from l2a_lab.measured import measure
 from l2a_lab.meshes import MESHES, mesh_table
 from l2a_lab.numbers import load_table
+from l2a_lab.rebuilding import CARRIED
 from l2a_lab.report import losses_told
 from l2a_lab.states import count_states, every, largest_moves, opened, states_of, upright
 from l2a_lab.tables import get_table
@@ -131,6 +132,17 @@ def test_the_table_of_meshes_is_that_of_the_results() -> None:
 
 
 # Of the exact planner.
+
+
+def test_what_two_arms_save_on_pairs_is_that_of_the_file() -> None:
+    entries = json.loads((ROOT / "results" / "structures.json").read_text())["entries"]
+    both = [(entries[f"carried/{seed}"], entries[f"carried-two/{seed}"]) for seed in range(CARRIED)]
+    shares = [two["robot_s"] / one["robot_s"] for one, two in both]
+    told = f"take {min(shares):.2f} to {max(shares):.2f} of the time of one, {np.mean(shares):.2f}"
+    assert told in (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    every = [one for pair in both for one in pair]
+    assert all(one["status"] == "complete" and not one["states_that_fall"] for one in every)
+    assert all(one["attempts"] == one["steps"] for one in every)
 
 
 def test_designs_are_measured_once_and_kept(

@@ -2,7 +2,7 @@
 
 The first design of a pair is built of any blocks; these are the heap that the second one is built
 of. Every second pair goes the other way round: what is missing then comes from the heap. The first
-ones are also carried out, by an arm in the dynamic cell.
+ones are also carried out, by an arm in the dynamic cell, and by two.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ import numpy as np
 
 from l2a_lab.measured import Result
 from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
-from learn2assemble.cell.carry_out import carry_out
-from learn2assemble.cell.workcell import Workcell
 from learn2assemble.jobs.build import build
+from learn2assemble.jobs.kinds import PHYSICS, ArmChoice, rebuilt_by
 from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.rebuild import rebuild, with_copies
+from learn2assemble.planning.rebuild import rebuild
 from learn2assemble.statics.rigid_blocks import FALLS, check
 from learn2assemble.tasks.designs import FAMILIES, draw
 
@@ -31,7 +30,8 @@ SECONDS, DESIGN_SECONDS = 120.0, 5.0
 RATIO = 1.1
 """Moves over their bound, asked at most."""
 CARRIED, ARM, CELL = 5, "ur5e", 0.032
-"""So many pairs are carried out, by which arm, and the edge of a cell of their blocks [m]."""
+"""So many pairs are carried out, by which arm or arms, and the edge of a cell of their blocks [m].
+"""
 
 
 def rebuild_entry(seed: int) -> Result:
@@ -61,23 +61,25 @@ def rebuild_entry(seed: int) -> Result:
     }
 
 
-def carried_entry(seed: int) -> Result:
-    """One pair by its seed, carried out by an arm; seconds are of the processor."""
+def carried_entry(seed: int, arms: int = 1) -> Result:
+    """One pair by its seed, carried out by one arm or two; seconds are of the processor."""
     old, new, _ = _pair(seed, load_kit(DEFAULT_KIT).at_pitch((CELL, CELL, CELL)))
     assert old.assembly is not None
     started = time.process_time()
-    plan = with_copies(rebuild(old.assembly, new, seconds=SECONDS))
-    done = carry_out(plan, Workcell(ARM), joint=load_kit(DEFAULT_KIT).joint_gap)
+    plan = rebuild(old.assembly, new, seconds=SECONDS)
+    how = ArmChoice((ARM,) * arms, None, None, PHYSICS[0], (0.0, 0.0), None, 0)
+    done = rebuilt_by(how, plan, load_kit(DEFAULT_KIT).joint_gap, lambda text: None)
     used = time.process_time() - started
     told = {"old": old.design.name, "new": new.design.name, "steps": len(plan.steps)}
     told |= {"status": done.status, "reason": done.reason}
-    if done.arm is None:  # There was no order to carry out.
+    reports = [done.arm] if done.arm else [one.did for one in done.arms if one.did]
+    if not reports:  # There was no order to carry out.
         return told
     return {
         **told,
-        "attempts": done.arm.attempts,
-        "error_worst": done.arm.error_worst,
-        "robot_s": done.arm.seconds,
+        "attempts": sum(one.attempts for one in reports),
+        "error_worst": max(one.error_worst or 0.0 for one in reports),
+        "robot_s": reports[0].seconds if done.arm else done.robot_s,
         "states_that_fall": _falling(done) if done.complete else None,
         "seconds": round(used, 3),
     }

@@ -30,6 +30,8 @@ from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.statics.rigid_blocks import check
 
+CARRIERS = {"carried": 1, "carried-two": 2}
+"""How many arms turn one structure into another."""
 STRUCTURES, REFERENCE = Path("examples/structures"), Path("../shared/reference")
 SECONDS = 600.0
 """Limit of a plan."""
@@ -122,7 +124,7 @@ def names() -> list[str]:
     found += [f"posts/{seed}" for seed in range(RANDOM)]
     found += [f"pile/{seed}" for seed in range(PILES)]
     found += [f"rebuild/{seed}" for seed in range(PAIRS)]
-    found += [f"carried/{seed}" for seed in range(CARRIED)]
+    found += [f"{kind}/{seed}" for kind in CARRIERS for seed in range(CARRIED)]
     return found + [f"states/{name}" for name in STATES if ORDERS[name].file.exists()]
 
 
@@ -150,8 +152,8 @@ def entry(name: str) -> Result:
         return mesh_entry(what)
     if kind == "rebuild":
         return rebuild_entry(int(what))
-    if kind == "carried":
-        return carried_entry(int(what))
+    if kind in CARRIERS:
+        return carried_entry(int(what), CARRIERS[kind])
     return pile_entry(int(what)) if kind == "pile" else posts_entry(int(what))
 
 
@@ -288,18 +290,29 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
         rows += _pile_rows(piles)
     if pairs := groups.get("rebuild"):
         rows += _pair_rows(pairs)
-    if carried := groups.get("carried"):
-        done = [one for one in carried.values() if one["status"] == "complete"]
-        got = f"{len(done)} of {len(carried)} complete"
-        if done:
-            tried = sum(one["attempts"] for one in done) / sum(one["steps"] for one in done)
-            worst = 1e3 * max(one["error_worst"] for one in done)
-            got += f", {tried:.3f} attempts a step, {worst:.2f} mm at most"
-        rows.append(("pairs carried out by one arm", "all", got))
+    for kind, arms in CARRIERS.items():
+        if carried := groups.get(kind):
+            rows.append(
+                (
+                    f"pairs carried out by {arms} arm{'s' * (arms > 1)}",
+                    "all",
+                    _carried_words(carried),
+                )
+            )
     for name, one in groups.get("states", {}).items():
         got = f"{1e3 * one['largest_move_m']:.3f} mm, {one['simulated']} of {one['states']} states"
         rows.append((f"MuJoCo: {name}", f"<= {1e3 * LIMIT:g} mm", got))
     return rows
+
+
+def _carried_words(carried: dict[str, Result]) -> str:
+    done = [one for one in carried.values() if one["status"] == "complete"]
+    got = f"{len(done)} of {len(carried)} complete"
+    if not done:
+        return got
+    tried = sum(one["attempts"] for one in done) / sum(one["steps"] for one in done)
+    worst = 1e3 * max(one["error_worst"] for one in done)
+    return f"{got}, {tried:.3f} attempts a step, {worst:.2f} mm at most"
 
 
 def _pile_rows(piles: dict[str, Result]) -> list[tuple[str, str, str]]:

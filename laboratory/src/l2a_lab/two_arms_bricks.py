@@ -23,8 +23,7 @@ from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.bricks.files import of_stablelego
 from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
 from learn2assemble.assembly.kit import load_kit
-from learn2assemble.cell.brick_team import bricks_by_team
-from learn2assemble.cell.pair import gather
+from learn2assemble.cell.pair import bricks_by_team, gather
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import set_up_team

@@ -1,48 +1,48 @@
-"""The order in which an arm builds: what stands at every step, and what the tool reaches."""
+"""The order in which arms build: what stands at every step, what their tools reach, and which steps
+keep their order whoever does them.
+"""
 
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.workcell import DOWN, Direction, Job, Progress, StepOf
 from learn2assemble.cell.world import (
     RETURNED,
     STANDING,
-    Rows,
     WorkcellBlocks,
-    direction_of,
     moves,
     named,
     rows_of,
     supply_of,
 )
-from learn2assemble.linear_programs import Clock
-from learn2assemble.planning.clearance import ways_out
 from learn2assemble.progress import Counting
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Attempt
-from learn2assemble.robot.studs import Studs
-from learn2assemble.statics.proofs import BED, TIGHT
-from learn2assemble.statics.states import State
 
-if TYPE_CHECKING:
-    from learn2assemble.assembly.contacts import Contacts
-    from learn2assemble.statics.laws import ByLoads
+BESIDE, HAND, LEVEL = 0.5, 0.1, 1e-3
+"""No lower block comes down beside a higher one at less than this share of the difference in
+height, as far as a hand reaches [m]; what ends so little above the bottom of another is lower [m].
+"""
+FINGERS = 0.03
+"""Bricks that are nearer to each other come one after the other as was found: fingers are as thick,
+and open as far [m]."""
 
-LEANING = 0.02
-"""A joint leans where the height of its normal is neither 0 nor 1 by more."""
-STEEP_JOINT = 0.9
-"""Where the height of its normal is less, a block does not come straight down on a joint."""
-LOW_WAY, MORE_WAYS = 0.3, 2
-"""Height of the directions from which a block may come, at least, and how many further ones are
-tried where blocks lean."""
+Waits = dict[StepOf, set[StepOf]]
+"""By step, those that come before it."""
+
+
+class Hands(NamedTuple):
+    """Who may bring blocks."""
+
+    job: Job
+    cell: KinematicCell
 
 
 @dataclass(frozen=True)
@@ -54,209 +54,6 @@ class Arranged:
     """By piece, why it cannot be placed or taken away; empty where the order is complete."""
     by_hand: frozenset[StepOf] = frozenset()
     """Steps that the arm cannot do."""
-
-
-class Structure:
-    """What rests on what, and whether a state stands.
-
-    Args:
-        job: its assembly is proven.
-    """
-
-    job: Job
-    contacts: Contacts
-    leans: bool
-
-    def __init__(self, job: Job) -> None:
-        from learn2assemble.assembly.contacts import add_point_contacts, find_contacts
-        from learn2assemble.planning.changeover import overlapping
-        from learn2assemble.statics.rigid_blocks import bed_patches
-
-        self.job, self.contacts = job, find_contacts(job.assembly)
-        self.lying: Contacts = self.contacts.only(bed_patches(self.contacts))
-        count = len(job.pieces)
-        self.overlaps: list[frozenset[int]] = [frozenset()] * count
-        """Of each piece, those in whose places it is, too: of what goes before it comes."""
-        if job.standing:
-            self.overlaps = overlapping(job.assembly.blocks)
-        self.below: list[set[int]] = [set() for _ in range(count)]
-        self.above: list[set[int]] = [set() for _ in range(count)]
-        self._there = _stood_before(job)
-        self._take_up()
-        last = {*job.standing, *(step.block for step in job.steps)} - {
-            step.block for step in job.steps if step.remove
-        }
-        if self._pressing(frozenset(last)) is None:
-            # Edges and points carry.
-            self.contacts = add_point_contacts(job.assembly, self.contacts)
-            self._take_up()
-            self.leans = True
-        standing = set(job.standing)
-        self._proven = {frozenset(standing)}
-        for step in job.steps:
-            standing = standing - {step.block} if step.remove else standing | {step.block}
-            self._proven.add(frozenset(standing))
-
-    def _take_up(self) -> None:
-        """Take up what rests on what, and whether anything leans.
-
-        A block rests on what stands when the plan places it: what touches it from below and comes
-        later, as a post for what comes next, or is gone by then, is nothing that it waits for.
-        """
-        ends = zip(self.contacts.a.tolist(), self.contacts.b.tolist(), strict=True)
-        self.leans = False
-        for (a, b), up in zip(ends, self.contacts.normal[:, 2].tolist(), strict=True):
-            if abs(up) <= LEANING:
-                continue
-            self.leans = self.leans or abs(up) < 1 - LEANING
-            lower, upper = (int(a), int(b)) if up > 0 else (int(b), int(a))
-            if lower >= 0 and upper >= 0 and lower in self._there[upper]:
-                self.below[upper].add(lower)
-                self.above[lower].add(upper)
-
-    def ways_in(self, block: int, standing: set[int]) -> tuple[Direction, ...]:
-        """Unit vectors along which a block may come to its place, the best ones first: straight
-        down, or at right angles to the joints on which it comes to lean where these are steep;
-        where blocks lean also others that lead away from all it touches."""
-        return ways_in(self.contacts, block, standing) if self.leans else (DOWN,)
-
-    def stands(self, standing: frozenset[int]) -> bool:
-        """Whether these pieces stand without the others, by the proof of the plan or another."""
-        if standing not in self._proven and (
-            self._loads.stands(self._state(standing)) or self._pressing(standing) is not None
-        ):
-            self._proven.add(standing)
-        return standing in self._proven
-
-    def takes(self, step: StepOf, standing: frozenset[int], world: WorkcellBlocks) -> bool:
-        """Whether what stands bears that a block comes to it: everything stands then, and while
-        that is set down.
-
-        Args:
-            step: which places the block.
-            standing: pieces in their places, some of which may not be there yet in the world.
-            world: which of them are built beside now.
-        """
-        return self.stands(standing | {step.block})
-
-    def made_by(self, block: int, world: WorkcellBlocks) -> set[tuple[int, int]]:
-        """The joints of studs that come home when a block is placed, as
-        :attr:`WorkcellBlocks.home` has them."""
-        return set()
-
-    def proof(self, standing: frozenset[int]) -> tuple[str, float] | None:
-        """What shows that these pieces stand without the others, and the sideways acceleration
-        in every direction [g] that they withstand; None where nothing shows it.
-
-        States that are asked for in the order of a build are proven from one another.
-        """
-        from learn2assemble.statics.rigid_blocks import margin
-
-        state = self._state(standing)
-        if self._loads.stands(state):
-            shown = self._loads.report(state)
-            if shown.margin_g:
-                return shown.proof, shown.margin_g
-        pressing = self._pressing(standing)
-        if pressing is None:
-            return None
-        worth = margin(self.job.assembly, pressing, self.job.friction, present=state.present)
-        return BED if pressing is self.lying else TIGHT, worth
-
-    def _pressing(self, standing: frozenset[int]) -> Contacts | None:
-        """The joints whose forces can hold these pieces: horizontal ones alone, or all."""
-        from learn2assemble.statics.rigid_blocks import solve
-
-        present = self._state(standing).present
-        for contacts in (self.lying, self.contacts.known(self.job.friction)):
-            if solve(self.job.assembly, contacts, self.job.friction, present=present).stands:
-                return contacts
-        return None
-
-    def _state(self, standing: frozenset[int]) -> State:
-        present = np.zeros(len(self.job.pieces), bool)
-        present[list(standing)] = True
-        return State(present, np.zeros_like(present))
-
-    @cached_property
-    def _loads(self) -> ByLoads:
-        """Loads passed down through level joints: enough for most states, and much faster than
-        programs over all blocks."""
-        from learn2assemble.statics.laws import ByLoads
-
-        # No clock: what is proven must not depend on it.
-        clock = Clock(math.inf)
-        return ByLoads.of_contacts(self.job.assembly, self.lying, self.job.friction, clock)
-
-    def joints_of(
-        self, world: WorkcellBlocks, rows: Rows, placing: bool, group: tuple[int, ...] = ()
-    ) -> Studs | None:
-        """The joints of studs of a scene, in its rows; None: there are no studs."""
-        return None
-
-    def studs(self) -> Studs | None:
-        """All joints of studs, whose cells are pieces; None: there are none."""
-        return None
-
-    def loose(self, block: int, world: WorkcellBlocks) -> bool:
-        """Whether a block in its place is not pressed home."""
-        return False
-
-    def press_at(
-        self, block: int, group: tuple[int, ...], standing: set[int]
-    ) -> tuple[float, float] | None:
-        """Where a block that comes to its place, perhaps with others, is pressed home, x and y from
-        its own middle [m]; None: it is not pressed."""
-        return None
-
-    def loads(self, block: int, standing: set[int]) -> list[int]:
-        """Pieces among ``standing`` that rest on a piece, directly or not, the topmost first."""
-        found, queue = list[int](), [block]
-        for one in queue:
-            for upper in sorted(self.above[one] & standing):
-                if upper not in found:
-                    found.append(upper)
-                    queue.append(upper)
-        return sorted(found, key=lambda k: -self.job.pieces[k].target[2])
-
-
-def _stood_before(job: Job) -> dict[int, frozenset[int]]:
-    """By block, what stands when it is placed, or before the first step where it does, too."""
-    standing = frozenset(job.standing)
-    found = dict.fromkeys(job.standing, standing)
-    for step in job.steps:
-        if step.remove:
-            standing -= {step.block}
-        else:
-            found.setdefault(step.block, standing)
-            standing |= {step.block}
-    return found
-
-
-def ways_in(faces: Contacts, block: int, standing: set[int]) -> tuple[Direction, ...]:
-    """The same of blocks that lean on one another at faces that touch."""
-    touched = [
-        normal if b == block else -normal
-        for a, b, normal in zip(faces.a.tolist(), faces.b.tolist(), faces.normal, strict=True)
-        if block in (a, b) and (a if b == block else b) in {*standing, -1}
-    ]
-    carried = [normal for normal in touched if normal[2] > LEANING]
-    if not carried and all(normal[2] > -LEANING for normal in touched):
-        return (DOWN,)
-    normals, up = np.array(touched), np.array([0.0, 0.0, 1.0])
-    best: list[np.ndarray] = []
-    if carried:
-        mean = np.sum(carried, axis=0)
-        best = [mean / np.linalg.norm(mean), up]
-        if min(float(normal[2]) for normal in carried) > STEEP_JOINT:
-            best.reverse()
-        best = [way for way in best if way is up or (normals @ way).min() > -1e-6]
-    # What nothing carries, as it is held, comes past what hangs over it.
-    others = ways_out(normals)
-    others = others[others[:, 2] > LOW_WAY]
-    room = (others @ normals.T).min(1)
-    best += list(others[np.argsort(-room, kind="stable")[:MORE_WAYS]])
-    return tuple(direction_of(-way) for way in best)
 
 
 def segments(steps: Sequence[StepOf]) -> list[list[StepOf]]:
@@ -292,12 +89,20 @@ def priorities(job: Job, leans: bool) -> list[Callable[[int], tuple[float, ...]]
 
 
 def arrange(
-    job: Job, structure: Structure, cell: KinematicCell, progress: Progress = lambda text: None
+    arms: Sequence[Hands], structure: Structure, progress: Progress = lambda text: None
 ) -> Arranged:
-    """The first order in which the arm reaches everything; else the one that comes farthest."""
+    """The first order in which one of the arms reaches everything; else the one that comes
+    farthest.
+
+    Args:
+        arms: of one cell, who build the same pieces; the first one says what comes first where
+            several blocks could.
+        structure: of these.
+    """
+    job = arms[0].job
     best: Arranged | None = None
     for key in priorities(job, structure.leans):
-        found = _arrange(job, structure, cell, key, progress)
+        found = _arrange(arms, structure, key, progress)
         if best is None or len(found.steps) > len(best.steps):
             best = found
         if not found.stuck or job.arm.suction is not None:
@@ -307,13 +112,12 @@ def arrange(
 
 
 def _arrange(
-    job: Job,
+    arms: Sequence[Hands],
     structure: Structure,
-    cell: KinematicCell,
     key: Callable[[int], Any],
     progress: Progress,
 ) -> Arranged:
-    world = WorkcellBlocks(job)
+    job, worlds = arms[0].job, [WorkcellBlocks(one.job) for one in arms]
     standing = set(job.standing)
     order: list[StepOf] = []
     by_hand: set[StepOf] = set()
@@ -338,21 +142,29 @@ def _arrange(
                 if not structure.stands(frozenset(after)):
                     stuck.setdefault(step.block, "it would fall")
                     continue
-                why = try_step(world, cell, step, structure.ways_in(step.block, standing))
-                if why is None:
+                into, why = structure.ways_in(step.block, standing), ""
+                for one, world in zip(arms, worlds, strict=True):
+                    failed = try_step(world, one.cell, step, into)
+                    if failed is None:
+                        break
+                    why = why or failed
+                else:
+                    failed = why
+                if failed is None:
                     break
                 if job.hands and job.pieces[step.block].prop:
                     by_hand.add(step)
                     break
-                stuck[step.block] = why
+                stuck[step.block] = failed
             else:
                 missing = {s.block: "what it stands on is missing" for s in left if not s.remove}
                 return Arranged(tuple(order), missing | stuck, frozenset(by_hand))
             left.remove(step)
             order.append(step)
             standing = after
-            world.pose[step.block] = world.target(step.block)
-            world.state[step.block] = RETURNED if step.remove else STANDING
+            for world in worlds:
+                world.pose[step.block] = world.target(step.block)
+                world.state[step.block] = RETURNED if step.remove else STANDING
             found.add()
     return Arranged(tuple(order), {}, frozenset(by_hand))
 
@@ -420,3 +232,77 @@ def ends_of(world: WorkcellBlocks, step: StepOf) -> Iterator[tuple[np.ndarray | 
 def describe(found: Attempt) -> str:
     """Outcome, stage and reason of an attempt that failed, in words."""
     return f"{found.outcome.label} ({found.stage}): {found.detail}"
+
+
+def put_beside(world: WorkcellBlocks, steps: Sequence[StepOf]) -> None:
+    """Blocks are to be built beside, where steps say so."""
+    for step in steps:
+        if step.beside is not None:
+            world.beside[step.block] = step.beside
+
+
+def steps_before(job: Job, structure: Structure, steps: Sequence[StepOf]) -> Waits:
+    """By step, those that come before it, whoever does them, as a hand could not reach past what
+    they leave. Blocks that lean are placed as they are planned.
+
+    Args:
+        job: with all steps, of bricks that clutch, and where a structure stands already, in the
+            order that was found.
+        steps: those that are asked about.
+    """
+    if job.standing or structure.studs() is not None:
+        return _as_found(job)
+    if structure.leans:
+        return {}
+    lower = lower_beside(job)
+    return {
+        step: {one for one in steps if one.block in lower[step.block]}
+        for step in steps
+        if not step.remove and step.block in lower
+    }
+
+
+def _as_found(job: Job) -> Waits:
+    """By step, the earlier ones that are near: where bricks are held by fingers between others,
+    and how far what stands bears a press, hangs on what is there already. What is taken away goes
+    before lower blocks near it come or go. Of what is built beside one part comes after the other,
+    as their places on the table may be the same."""
+    world = WorkcellBlocks(job)
+    put_beside(world, job.steps)
+    bounds = list[tuple[np.ndarray, np.ndarray]]()
+    for step in job.steps:
+        taken = [step.block, *step.group]
+        shift = np.zeros((len(taken), 1, 3)) if step.group else world.beside[taken][:, None]
+        ends = np.array([job.pieces[k].extent for k in taken]) + shift
+        bounds.append((ends[:, 0], ends[:, 1]))
+    found: Waits = {}
+    for n, (step, (low, high)) in enumerate(zip(job.steps, bounds, strict=True)):
+        for one, (under, over) in zip(job.steps[:n], bounds[:n], strict=True):
+            gap = np.maximum(low[:, None] - over[None], under[None] - high[:, None])[..., :2].max(2)
+            rise = high[:, None, 2] - over[None, :, 2]
+            if step.remove or one.remove:
+                rise = np.abs(rise)
+            rise = np.minimum(BESIDE * rise, HAND)
+            if (gap < np.maximum(rise, FINGERS)).any() or (_apart(step) and _apart(one)):
+                found.setdefault(step, set()).add(one)
+    return found
+
+
+def _apart(step: StepOf) -> bool:
+    """Whether a step is of a part that is built beside."""
+    return step.beside is not None or bool(step.group)
+
+
+def lower_beside(job: Job) -> dict[int, set[int]]:
+    """By piece, the lower ones so near beside it that hand and arm could not bring them past it.
+
+    An arm alone builds level by level; one that finds the other one in its way there would go on
+    higher up, and around gaps that nobody can fill any more.
+    """
+    ends = np.array([piece.extent for piece in job.pieces])
+    low, high = ends[:, 0], ends[:, 1]
+    apart = np.maximum(low[:, None, :2] - high[None, :, :2], low[None, :, :2] - high[:, None, :2])
+    higher = np.minimum(BESIDE * (high[:, None, 2] - high[None, :, 2]), HAND)
+    lower = high[None, :, 2] <= low[:, None, 2] + LEVEL
+    found = lower & (apart < higher[:, :, None]).all(2)
+    return {k: set(np.flatnonzero(row).tolist()) for k, row in enumerate(found) if row.any()}

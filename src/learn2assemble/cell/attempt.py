@@ -156,12 +156,14 @@ class AttemptSenses:
         sight.pause = lambda seconds: run.wait(seconds, run.log[-1][0], guard)
         sight.look(fine=run.holding)
         poses = self.order.poses.copy()
+        stock = {k for k, state in enumerate(sight.world.state) if state == STOCK}
         for number, lead in enumerate(self.order.objects.lead.tolist()):
             k = int(self.rows.owner[lead])
             if k == self.moving and sight.held is not None:
                 pose = sight.held_pose(run.joints)
-            elif k < 0 or (k != self.moving and sight.world.state[k] == STOCK):
-                # An obstacle, or what another arm is about to put where it was taken to be.
+            elif k < 0 or (k != self.moving and (k in sight.carried or k in stock)):
+                # An obstacle, or what another arm moves, or is about to put where it was taken to
+                # be.
                 continue
             else:
                 pose = sight.world.pose[k]

@@ -15,7 +15,7 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.bricks.lattice import GROUND, grip
 from learn2assemble.assembly.bricks.mates import BrickMates, Press
-from learn2assemble.cell.arrange import Structure
+from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.workcell import Job, StepOf
 from learn2assemble.cell.world import STANDING, Rows, WorkcellBlocks
 from learn2assemble.robot.studs import StudJoint, Studs

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.cell.arrange import Arranged, Structure, describe
+from learn2assemble.cell.arrange import Arranged, describe
 from learn2assemble.cell.attempt import UNCERTAIN, Ahead, Attempts, Came
 from learn2assemble.cell.journal import Recording, append_state, packed, read_states
 from learn2assemble.cell.sight import Sight
 from learn2assemble.cell.state import Action, Choice, Done
+from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.workcell import DOWN, ROOMS, TRIES, Direction, Job, Progress, Workcell
 from learn2assemble.cell.world import (
     FLAT,
@@ -427,7 +428,7 @@ class Building:
         )
         self.sight.look(needed)
         for n in world.visible():
-            if self.sight.unknown(n) and n != k:
+            if self.sight.unknown(n) and n != k and n not in self.sight.carried:
                 self._lose(n)
         if k is not None and not self.sight.unknown(k):
             world.pose[k] = self.sight.belief.known[world.names[k]].pose
@@ -450,7 +451,7 @@ class Building:
             if back and action.what in ("away", "remove") and not extra:
                 world.used[action.source or 0] -= 1
         for n in [k, *(n for n in world.visible() if n != k)]:
-            if n == k and came.reached and not placing:
+            if (n == k and came.reached and not placing) or n in self.sight.carried:
                 continue
             if self.sight.unknown(n):
                 self._lose(n)

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 
-from learn2assemble.cell.arrange import Structure, arrange
+from learn2assemble.cell.arrange import Hands, arrange
 from learn2assemble.cell.bricks import BrickStructure
 from learn2assemble.cell.building import Building, Kept, Prepared
 from learn2assemble.cell.cameras import through_cameras
 from learn2assemble.cell.reach import cells_of, set_up, with_other_tools
 from learn2assemble.cell.report import Witness, Worked, arm_report, carried_out, words_of
-from learn2assemble.cell.taking_apart import Hands, arrange_bricks, plan_in_order
+from learn2assemble.cell.structure import Structure
+from learn2assemble.cell.taking_apart import arrange_bricks, plan_in_order
 from learn2assemble.cell.workcell import Job, Progress, StepOf, Workcell, job_of
 from learn2assemble.cell.world import OBSTACLE_DENSITY, WorkcellBlocks
 from learn2assemble.errors import InputError
@@ -66,11 +67,12 @@ def prepare(
     job = set_up(job, workcell.arm, workcell.tool, workcell.site, progress)
     progress("looking for an order that the arm can do")
     cell = KinematicCell(job.arm, cells_of(job))
+    hands = [Hands(job, cell)]
     if job.assembly.holds:
         bricks = BrickStructure(job)
-        return Prepared(job, bricks, arrange_bricks([Hands(job, cell)], bricks, progress), cell)
+        return Prepared(job, bricks, arrange_bricks(hands, bricks, progress), cell)
     structure = Structure(job)
-    return Prepared(job, structure, arrange(job, structure, cell, progress), cell)
+    return Prepared(job, structure, arrange(hands, structure, progress), cell)
 
 
 class Restorable(Protocol):

@@ -20,9 +20,10 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.contacts import Contacts, find_contacts
 from learn2assemble.assembly.hands import Hand
-from learn2assemble.cell.arrange import ends_of, ways_in
+from learn2assemble.cell.arrange import ends_of
 from learn2assemble.cell.pieces import Piece, pieces_of, with_rests
 from learn2assemble.cell.reach import cells_of
+from learn2assemble.cell.structure import ways_in
 from learn2assemble.cell.traffic import APART as KEPT
 from learn2assemble.cell.workcell import DOWN, Direction, Job, StepOf
 from learn2assemble.cell.world import (

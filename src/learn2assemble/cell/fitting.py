@@ -20,9 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learn2assemble.cell.arrange import LEANING
 from learn2assemble.cell.belief import step_between
 from learn2assemble.cell.pieces import Piece
+from learn2assemble.cell.structure import LEANING
 from learn2assemble.cell.world import WorkcellBlocks, on_table
 from learn2assemble.geometry.hulls import separation
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, rotation_of

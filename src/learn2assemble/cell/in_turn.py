@@ -20,7 +20,7 @@ import numpy as np
 
 from learn2assemble.assembly.contacts import Contacts, find_contacts
 from learn2assemble.assembly.hands import Hand
-from learn2assemble.cell.arrange import Arranged, Structure
+from learn2assemble.cell.arrange import Arranged
 from learn2assemble.cell.building import Building, Prepared
 from learn2assemble.cell.crew import FINE, ArmCrew, Member, Reached
 from learn2assemble.cell.fitting import neighbours
@@ -28,6 +28,7 @@ from learn2assemble.cell.pair import Pair, jobs_of, workcell_of
 from learn2assemble.cell.pressing import TURNS, PressingHand, contact_force
 from learn2assemble.cell.reach import cells_of
 from learn2assemble.cell.state import Action
+from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.telling import route_of
 from learn2assemble.cell.together import Cell, Together, built_by, simulated
 from learn2assemble.cell.workcell import Progress, Workcell

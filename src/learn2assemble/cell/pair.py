@@ -11,35 +11,36 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learn2assemble.cell.arrange import Arranged, Structure, try_step, where_pressed
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.cell.arrange import (
+    Arranged,
+    Hands,
+    arrange,
+    put_beside,
+    try_step,
+    where_pressed,
+)
 from learn2assemble.cell.bricks import BrickStructure
 from learn2assemble.cell.building import Prepared
 from learn2assemble.cell.crew import Member
 from learn2assemble.cell.pieces import with_rests
 from learn2assemble.cell.reach import cells_of, with_home
 from learn2assemble.cell.site import Obstacle
-from learn2assemble.cell.workcell import ROOMS, Job, StepOf, Workcell, job_of
+from learn2assemble.cell.structure import Structure
+from learn2assemble.cell.taking_apart import arrange_bricks, plan_in_order
+from learn2assemble.cell.team import told_of
+from learn2assemble.cell.workcell import ROOMS, Job, Progress, StepOf, Workcell, job_of
 from learn2assemble.cell.world import RETURNED, STANDING, WorkcellBlocks
 from learn2assemble.errors import InputError
+from learn2assemble.planning.brick_plan import plan_for_arm, with_hands
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematic import KinematicCell
 
 BASE = (0.3, 0.3, 0.5)
 """Size of the box that the base of the other arm is for the ways of blocks [m]."""
-BESIDE, HAND, LEVEL = 0.5, 0.1, 1e-3
-"""No lower block comes down beside a higher one at less than this share of the difference in
-height, as far as a hand reaches [m]; what ends so little above the bottom of another is lower [m].
-"""
-FINGERS = 0.03
-"""Bricks that are nearer to each other come one after the other as was found: fingers are as thick,
-and open as far [m]."""
 HOMES = (0.25, 0.3, 0.35)
 """So far in front of its base the tool waits, the preferred one first [m]."""
-
-
-Waits = dict[StepOf, set[StepOf]]
-"""By step, those that come before it."""
 
 
 class Pair(NamedTuple):
@@ -57,6 +58,7 @@ def gather(
     workcell: Workcell,
     joint: float = 1e-4,
     order: Sequence[StepOf] | None = None,
+    progress: Progress = lambda text: None,
 ) -> Pair:
     """Two arms with magazines of their own, and for each the steps that it could do.
 
@@ -65,17 +67,30 @@ def gather(
         members: the arms, see :func:`~.team.set_up_team`.
         workcell: how they build; which arm and tool, and what its base is, does not matter.
         joint: width of a vertical joint [m].
-        order: of bricks that clutch, as :func:`~.brick_team.bricks_by_team` has found it.
+        order: of bricks that clutch, as :func:`bricks_by_team` has found it.
+        progress: told how far it has come where an order is looked for, as something stands
+            already.
 
     Raises:
-        InputError: for a block that neither can place when its turn in the plan has come.
+        InputError: for a block that neither can place, or take away, when its turn in the plan has
+            come.
     """
-    first, second = jobs_of(plan, members, workcell, joint)
-    if order is not None:
-        first, second = (replace(job, steps=tuple(order)) for job in (first, second))
-    structure = BrickStructure(first) if first.assembly.holds else Structure(first)
-    jobs = [first, second]
+    jobs = jobs_of(plan, members, workcell, joint)
     kinematic = [KinematicCell(job.arm, cells_of(job)) for job in jobs]
+    structure: Structure | None = None
+    if jobs[0].standing:
+        structure = Structure(jobs[0])
+        hands = [Hands(*one) for one in zip(jobs, kinematic, strict=True)]
+        found_order = arrange(hands, structure, progress)
+        if found_order.stuck:
+            raise _neither(jobs[0], found_order)
+        order = found_order.steps
+    if order is not None:
+        first, second = (replace(job, steps=tuple(order)) for job in jobs)
+        jobs = first, second
+    first = jobs[0]
+    if structure is None:
+        structure = BrickStructure(first) if first.assembly.holds else Structure(first)
     can = [possible(job, structure, cell) for job, cell in zip(jobs, kinematic, strict=True)]
     found, cells = list[Prepared](), list[Workcell]()
     for number, (job, cell) in enumerate(zip(jobs, kinematic, strict=True)):
@@ -86,11 +101,18 @@ def gather(
     reached = {step for one in found for step in one.order.steps}
     left = [step for step in first.steps if step not in reached]
     if left:
-        piece = first.pieces[left[0].block]
-        why = found[0].order.stuck[left[0].block]
-        raise InputError("arms", f"{piece.id}, which neither can place: {why}", "all within reach")
+        raise _neither(first, Arranged(tuple(left), {left[0].block: can[0][1][left[0].block]}))
     one, other = (member.name for member in members)
     return Pair((found[0], found[1]), (cells[0], cells[1]), (one, other))
+
+
+def _neither(job: Job, found: Arranged) -> InputError:
+    """What is said of a block that neither arm can place, or take away."""
+    number, why = next(iter(found.stuck.items()))
+    gone = StepOf(number, True) in job.steps and number in job.standing
+    what = "take away" if gone else "place"
+    got = f"{job.pieces[number].id}, which neither can {what}: {why}"
+    return InputError("arms", got, "all within reach")
 
 
 def workcell_of(workcell: Workcell, job: Job) -> Workcell:
@@ -111,8 +133,10 @@ def jobs_of(
         holding: whether the plan may have steps that hold a block.
     """
     alike = job_of(plan, workcell.arm, joint, workcell.hands, holding)
-    if alike.standing:
-        raise InputError("design", "blocks that stand before the first step", "none, for two arms")
+    if alike.standing and (holding or alike.assembly.holds):
+        got = "blocks that stand before the first step"
+        what = "bricks that clutch" if alike.assembly.holds else "arms that hold"
+        raise InputError("design", got, f"none, with {what}")
     jobs = [
         replace(
             alike,
@@ -136,7 +160,7 @@ def possible(
 ) -> tuple[list[StepOf], dict[int, str]]:
     """The steps of a plan that an arm could do, each when its turn has come; by block, why it could
     not do the others."""
-    world, standing = WorkcellBlocks(job), set[int]()
+    world, standing = WorkcellBlocks(job), set(job.standing)
     steps, stuck = list[StepOf](), dict[int, str]()
     put_beside(world, job.steps)
     for step in job.steps:
@@ -159,13 +183,6 @@ def possible(
         world.pose[step.block] = world.target(step.block)
         world.state[step.block] = RETURNED if step.remove else STANDING
     return steps, stuck
-
-
-def put_beside(world: WorkcellBlocks, steps: Sequence[StepOf]) -> None:
-    """Blocks are to be built beside, where steps say so."""
-    for step in steps:
-        if step.beside is not None:
-            world.beside[step.block] = step.beside
 
 
 def back(job: Job) -> Arm:
@@ -197,13 +214,13 @@ def shared_out(
 ) -> tuple[StepOf, ...]:
     """The steps as an arm prefers them: level by level, what the other arm cannot do before the
     rest, so that neither has much left when the other one is done; and from its end of the
-    structure, so that the other arm, which begins at the other end, is far away. As they are where
-    blocks lean or are taken away.
+    structure, so that the other arm, which begins at the other end, is far away. What stood before
+    goes first, from above. As they are where blocks lean or props are taken away.
 
     Args:
         others: what the other arm can do.
     """
-    if structure.leans or any(step.remove for step in steps):
+    if structure.leans or any(s.remove and s.block not in job.standing for s in steps):
         return tuple(steps)
     where = np.array([piece.target for piece in job.pieces])
     # Across the line between the arms they are in each other's way least.
@@ -213,70 +230,50 @@ def shared_out(
         along = -along
     way = -1.0 if number else 1.0
 
-    def key(step: StepOf) -> tuple[float, bool, float]:
+    def key(step: StepOf) -> tuple[bool, float, bool, float]:
         level = round(float(job.pieces[step.block].extent[0][2]), 4)
-        return level, step in others, round(way * float(where[step.block, :2] @ along), 6)
+        end = round(way * float(where[step.block, :2] @ along), 6)
+        return not step.remove, -level if step.remove else level, step in others, end
 
     return tuple(sorted(steps, key=key))
 
 
-def steps_before(job: Job, structure: Structure, steps: Sequence[StepOf]) -> Waits:
-    """By step, those that come before it, whoever does them, as a hand could not reach past what
-    they leave. Blocks that lean are placed as they are planned.
+def bricks_by_team(
+    assembly: Assembly,
+    members: Sequence[Member],
+    workcell: Workcell,
+    progress: Progress = lambda text: None,
+) -> tuple[Plan, tuple[StepOf, ...]]:
+    """The plan of bricks for two arms, and its steps with what is built beside; nothing is carried
+    out.
 
     Args:
-        job: with all steps, of bricks that clutch in the order that was found.
-        steps: those that are asked about.
+        assembly: bricks on a lattice of studs whose joints clutch; steps are not looked at.
+        members: the arms, of :func:`~.team.set_up_team`.
+        workcell: how they build.
+
+    Raises:
+        InputError: for blocks that are no bricks on one lattice.
     """
-    if structure.leans:
-        return {}
-    if structure.studs() is not None:
-        return _as_found(job)
-    lower = lower_beside(job)
-    return {
-        step: {one for one in steps if one.block in lower[step.block]}
-        for step in steps
-        if not step.remove and step.block in lower
-    }
-
-
-def _as_found(job: Job) -> Waits:
-    """By step, the earlier ones that are near: where bricks are held by fingers between others,
-    and how far what stands bears a press, hangs on what is there already. Of what is built beside
-    one part comes after the other, as their places on the table may be the same."""
-    world = WorkcellBlocks(job)
-    put_beside(world, job.steps)
-    bounds = list[tuple[np.ndarray, np.ndarray]]()
-    for step in job.steps:
-        taken = [step.block, *step.group]
-        shift = np.zeros((len(taken), 1, 3)) if step.group else world.beside[taken][:, None]
-        ends = np.array([job.pieces[k].extent for k in taken]) + shift
-        bounds.append((ends[:, 0], ends[:, 1]))
-    found: Waits = {}
-    for n, (step, (low, high)) in enumerate(zip(job.steps, bounds, strict=True)):
-        for one, (under, over) in zip(job.steps[:n], bounds[:n], strict=True):
-            gap = np.maximum(low[:, None] - over[None], under[None] - high[:, None])[..., :2].max(2)
-            rise = np.minimum(BESIDE * (high[:, None, 2] - over[None, :, 2]), HAND)
-            if (gap < np.maximum(rise, FINGERS)).any() or (_apart(step) and _apart(one)):
-                found.setdefault(step, set()).add(one)
-    return found
-
-
-def _apart(step: StepOf) -> bool:
-    """Whether a step is of a part that is built beside."""
-    return step.beside is not None or bool(step.group)
-
-
-def lower_beside(job: Job) -> dict[int, set[int]]:
-    """By piece, the lower ones so near beside it that hand and arm could not bring them past it.
-
-    An arm alone builds level by level; one that finds the other one in its way there would go on
-    higher up, and around gaps that nobody can fill any more.
-    """
-    ends = np.array([piece.extent for piece in job.pieces])
-    low, high = ends[:, 0], ends[:, 1]
-    apart = np.maximum(low[:, None, :2] - high[None, :, :2], low[None, :, :2] - high[:, None, :2])
-    higher = np.minimum(BESIDE * (high[:, None, 2] - high[None, :, 2]), HAND)
-    lower = high[None, :, 2] <= low[:, None, 2] + LEVEL
-    found = lower & (apart < higher[:, :, None]).all(2)
-    return {k: set(np.flatnonzero(row).tolist()) for k, row in enumerate(found) if row.any()}
+    plan = replace(plan_for_arm(assembly), arms=told_of(members))
+    if not plan.complete or plan.assembly is None:
+        return plan, ()
+    jobs = jobs_of(plan, members, workcell, 0.0)
+    hands = [Hands(job, KinematicCell(job.arm, cells_of(job))) for job in jobs]
+    order = arrange_bricks(hands, BrickStructure(jobs[0]), progress)
+    if not order.stuck:
+        return plan_in_order(plan, order.steps), order.steps
+    number, why = next(iter(order.stuck.items()))
+    blocks = [jobs[0].pieces[k].id for k in order.stuck]
+    listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
+    reason, advice = f"{jobs[0].pieces[number].id}: {why}", with_hands(assembly)
+    refused = replace(
+        plan,
+        status="refused",
+        reason=f"neither arm can place {listed}: {reason}" + (f"; {advice}" if advice else ""),
+        steps=(),
+        coverage=0.0,
+        blocks=replace(plan.blocks, used=0),
+        assembly=replace(plan.assembly, steps=(), not_built=()),
+    )
+    return refused, ()

@@ -247,7 +247,10 @@ def carried_out(
         # An attempt of which the block is held ends when that is let go.
         done = [step for step in proven if step in done]
     else:
-        done.sort(key=lambda step: last[step][0] if step in last else -1)
+        # What was done though its attempt failed in something else was done in that one.
+        ended = {d.step: n for n, (_, d) in enumerate(attempted) if d.what not in ASIDE}
+        ended |= {step: one[0] for step, one in last.items()}
+        done.sort(key=lambda step: ended.get(step, -1))
     # What is only listed, not proven, has to be: of bricks an arm finds the order.
     same = done == list(proven) and all(step.proof for step in moved)
     standing = set(job.standing)

@@ -86,6 +86,9 @@ class Sight:
         """When a block was moved last; older readings say nothing of it."""
         self.brought: dict[str, Estimate] = {}
         """What the block that was let go last has brought along, in its frame."""
+        self.carried: set[int] = set()
+        """Pieces that another arm moves or has moved since the attempt began: it says itself what
+        comes of them."""
         self.last: float = -PICTURE
         self.pause: Callable[[float], Any] = lambda seconds: None
         """Waits [s], standing still."""
@@ -204,7 +207,8 @@ class Sight:
             known = self.belief.known.get(name)
             if known is not None and world.state[k] == MISSING:
                 world.state[k] = LOST
-            if known is not None and world.state[k] in (STANDING, LOOSE, LOST):
+            there = world.state[k] in (STANDING, LOOSE, LOST) and k not in self.carried
+            if known is not None and there:
                 world.pose[k] = known.pose
                 world.spread[k] = known.spread, known.turn_spread
 

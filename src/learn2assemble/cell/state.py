@@ -9,13 +9,15 @@ import math
 from collections import Counter
 from collections.abc import Generator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.cell.arrange import Arranged, Structure
+from learn2assemble.cell.arrange import Arranged, Waits, steps_before
 from learn2assemble.cell.fitting import OPEN, Fitting
 from learn2assemble.cell.pieces import Piece
+from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.workcell import LEANS, STANDS, STRAYED, TRIES, Job, StepOf
 from learn2assemble.cell.world import (
     LOOSE,
@@ -107,8 +109,10 @@ class Choice:
         """Blocks that another arm is about to place."""
         self.postponed: set[int] = set()
         """Blocks whose way another arm is in."""
-        self.later: set[StepOf] = set()
-        """Steps that would be in the way of others, which come before."""
+        self.waits: Waits = {}
+        """By step, those that come before it, which it would be in the way of."""
+        if job.standing:
+            self.waits = steps_before(replace(job, steps=self.planned), structure, self.planned)
         self.done: list[Done] = []
         self.fitting: Fitting = Fitting(self.world, structure.studs() is not None)
         self.comes: set[int] = {step.block for step in self.order}
@@ -161,17 +165,19 @@ class Choice:
             if {step.block, *step.group} & (self.elsewhere | self.postponed):
                 blocked[step.block] = ELSEWHERE
                 continue
-            if step.remove:
+            if step.remove and step.block not in self.job.standing:
+                # Nobody knows how long a prop carries what has come meanwhile.
                 if not ready and not blocked:
                     ready.append(step)
                 break
-            if step in self.later or self._missing(step, standing):
+            before = self.waits.get(step, ())
+            if not all(map(self.satisfied, before)) or self._missing(step, standing):
                 blocked[step.block] = WAITING
-            elif not self._stands_with(step, standing):
+            elif not self.bears(step, standing):
                 blocked[step.block] = "it would fall"
             else:
                 ready.append(step)
-        what = {step: "attach" if step.group else "place" for step in ready}
+        what = {step: _what(step) for step in ready}
         ready = [step for step in ready if self._left(step.block, what[step]) > 0]
         ready.sort(key=lambda step: self.fails[step.block, what[step]] // TRIES)
         for step in ready:
@@ -202,12 +208,12 @@ class Choice:
         piece = self.world.pieces[number]
         return f"{piece.id} ({piece.name}){others} cannot be placed: {why}"
 
-    def _stands_with(self, step: StepOf, standing: set[int]) -> bool:
+    def bears(self, step: StepOf, standing: set[int]) -> bool:
         """Whether a step may be done: everything stands then, whether what another arm is about to
-        place is there or not."""
+        place or take away is there or not."""
         # What is only put aside comes to no place.
-        coming = {k for k in self.elsewhere if k < len(self.job.pieces)}
-        states = (frozenset(standing), frozenset(standing | coming))
+        moved = {k for k in self.elsewhere if k < len(self.job.pieces)}
+        states = (frozenset(standing - moved), frozenset(standing | moved))
         return all(self.structure.takes(step, state, self.world) for state in states)
 
     def _left(self, block: int, what: str) -> int:
@@ -301,8 +307,10 @@ class Choice:
         return set(np.flatnonzero(self.world.together(k)).tolist())
 
     def _missing(self, step: StepOf, standing: set[int]) -> set[int]:
-        """What a step needs to be there that is not."""
+        """What a step needs to be there that is not, or to be gone that is there."""
         k, below = step.block, self.structure.below
+        if step.remove:
+            return set(self.structure.loads(k, standing))
         if step.group:
             group = {k, *step.group}
             there = {n for n in standing if not self.world.beside[n].any()}
@@ -407,6 +415,11 @@ class Choice:
     def height(self, k: int) -> float:
         """Standard deviation of the height of what carries a block in its place [m]."""
         return self.fitting.height(k, self.standing() & self._together(k) - {k})
+
+
+def _what(step: StepOf) -> str:
+    """What the attempt at a step is called, see :attr:`Action.what`."""
+    return "attach" if step.group else "remove" if step.remove else "place"
 
 
 def area(piece: Piece, pose: np.ndarray) -> Any:

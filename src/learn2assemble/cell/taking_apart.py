@@ -17,14 +17,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from learn2assemble.assembly.bricks.lattice import GROUND
-from learn2assemble.cell.arrange import Arranged, try_step, where_pressed
+from learn2assemble.cell.arrange import Arranged, Hands, try_step, where_pressed
 from learn2assemble.cell.bricks import BrickStates, BrickStructure
-from learn2assemble.cell.workcell import ROOMS, Job, Offset, Progress, StepOf
+from learn2assemble.cell.workcell import ROOMS, Offset, Progress, StepOf
 from learn2assemble.cell.world import STANDING, WorkcellBlocks
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.sequence import depth_first
 from learn2assemble.progress import Detail, silent
-from learn2assemble.robot.kinematic import KinematicCell
 
 if TYPE_CHECKING:
     from learn2assemble.planning.plan import Plan
@@ -36,13 +35,6 @@ MOST_BESIDE, MOST_PLACES = 12, 6
 _NO_ORDER = "no order is known in which what stands before it bears that it is pressed home"
 APART, GRID = 0.05, 0.04
 """Between what is built beside and everything else, and between places that are tried [m]."""
-
-
-class Hands(NamedTuple):
-    """Who may bring bricks."""
-
-    job: Job
-    cell: KinematicCell
 
 
 class _Subassembly(NamedTuple):

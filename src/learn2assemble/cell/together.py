@@ -15,10 +15,11 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from learn2assemble.cell.arrange import put_beside, steps_before
 from learn2assemble.cell.building import Building, Prepared
 from learn2assemble.cell.carry_out import key_of, setup_of
 from learn2assemble.cell.crew import Member
-from learn2assemble.cell.pair import Pair, Waits, gather, put_beside, steps_before
+from learn2assemble.cell.pair import Pair, gather
 from learn2assemble.cell.report import Attempted, Witness, Worked, carried_out, words_of
 from learn2assemble.cell.shared_cell import SharedCell
 from learn2assemble.cell.shared_journal import SharedJournal, Turn, take_up
@@ -64,7 +65,7 @@ def build_together(
         members: the arms, see :func:`~.team.set_up_team`.
         workcell: how they build; where its file exists, the build goes on from that.
         joint: width of a vertical joint [m].
-        order: of bricks that clutch, of :func:`~.brick_team.bricks_by_team`.
+        order: of bricks that clutch, of :func:`~.pair.bricks_by_team`.
         opened: see :class:`Together`; by default the simulated cell.
 
     Raises:
@@ -72,7 +73,7 @@ def build_together(
     """
     started = time.perf_counter()
     progress("starting the simulation")
-    crew = gather(plan, members, workcell, joint, order)
+    crew = gather(plan, members, workcell, joint, order, progress)
     journal = None
     if workcell.log is not None:
         journal = SharedJournal(workcell.log, f"{key_of(plan, workcell)} {_who(crew)}")
@@ -157,6 +158,7 @@ class Together(Generic[Cell]):
         for who, building in enumerate(self.buildings):
             building.attempts.announce = self._announcer(who)
             put_beside(building.world, job.steps)
+            building.known.waits = steps_before(job, structure, crew.found[who].order.steps)
         self.begun: float = 0.0
         """When [s of the plant's clock]."""
         self.turns: list[Turn] = []
@@ -168,10 +170,6 @@ class Together(Generic[Cell]):
         """Of the other arm, where an arm fetches a block that comes after that."""
         self.assumes: list[Assumed | None] = [None, None]
         """While an arm takes the block of the other one to stand already, which."""
-        self.under: tuple[Waits, ...] = tuple(
-            steps_before(job, structure, one.order.steps) for one in crew.found
-        )
-        """By step of each arm, those that come before it."""
         self.moves: list[int] = [0, 0]
         """The piece that each arm moves, or was the last to, ..."""
         self.along: list[tuple[int, ...]] = [(), ()]
@@ -236,6 +234,7 @@ class Together(Generic[Cell]):
             self.traffic.stopped(who)
         finally:
             self.working[who] = False
+            self.buildings[1 - who].sight.carried = set()
         if route is not None:
             # Whatever became of it, nobody else is to place it.
             self.lost |= {self.moves[who], *self.along[who]}
@@ -245,7 +244,7 @@ class Together(Generic[Cell]):
         building.look()
         most, idle = 2 * len(known.order) + 20, 0
         while len(known.done) < most:
-            known.elsewhere, known.later = self._elsewhere(who), self._later(who)
+            known.elsewhere = self._elsewhere(who)
             action = known.choose()
             if action is None:
                 return None
@@ -282,6 +281,8 @@ class Together(Generic[Cell]):
             # Whatever comes of it, its ways are to be free.
             self._assume(who)
             building.chosen = lambda: self._forget(who)
+        moves = self.traffic.other(who).route is not None and self.working[1 - who]
+        building.sight.carried = {self.moves[1 - who], *self.along[1 - who]} if moves else set()
         building.stood = self._stood(who, begin)
         self.picks[who], self.along[who] = action.block, action.group
         count = len(building.known.done)
@@ -366,7 +367,7 @@ class Together(Generic[Cell]):
             while self.traffic.other(who).route is route:
                 self._assume(who)
                 known.elsewhere, known.postponed = set(self.lost), set(tried)
-                known.refused, known.later = {}, self._later(who)
+                known.refused = {}
                 action, fails = known.choose(), known.fails.copy()
                 if not isinstance(action, Action) or action.what != "place":
                     return False
@@ -451,11 +452,6 @@ class Together(Generic[Cell]):
             found |= {self.moves[1 - who], *self.along[1 - who]}
         return found if chosen is None else found | {chosen}
 
-    def _later(self, who: int) -> set[StepOf]:
-        """Steps before which others are still to come."""
-        known, waits = self.buildings[who].known, self.under[who].items()
-        return {step for step, some in waits if not all(map(known.satisfied, some))}
-
     def _announcer(self, who: int) -> Callable[[Execution, str], bool]:
         """What an arm says before it moves, see :attr:`~.attempt.Attempts.announce`."""
 
@@ -468,6 +464,7 @@ class Together(Generic[Cell]):
             behind = after is not None and self.traffic.other(who).route is after
             if self.traffic.announce(who, route, behind):
                 self.moves[who] = k
+                self.buildings[1 - who].sight.carried |= {k, *self.along[who]}
                 return True
             if after is not None:
                 return False

@@ -42,6 +42,7 @@ from learn2assemble.jobs.kinds import (
     goals_plan,
     has_studs,
     kit_of,
+    rebuilt_by,
     team_plan,
     with_plates,
     with_tools,
@@ -53,7 +54,6 @@ from learn2assemble.robot.registry import ARMS
 from learn2assemble.statics.proofs import Bounds, value_range
 
 if TYPE_CHECKING:
-    from learn2assemble.cell.carry_out import Workcell
     from learn2assemble.cell.reach import ReachReport
     from learn2assemble.cell.site import Site
     from learn2assemble.cell.team import TeamReach
@@ -142,7 +142,7 @@ def build(
             assembly.files.read_assembly`): the plan begins with it and turns it into the design
             with its own blocks (:func:`learn2assemble.planning.rebuild.rebuild`): a drawing is
             filled with those alone, with others of their kinds, or with any of the kit, whichever
-            takes the fewest moves. One arm may carry it out, by way of magazines.
+            takes the fewest moves. One arm or two may carry it out, by way of magazines.
         reading: how to read a file or an array: ``unit``, ``cell``, ``size``, ``up``, ``depth``,
             ``cells_wide``, ``repair``, ``blocks``, ``colours``, see
             :class:`learn2assemble.design.reading.Reading`.
@@ -198,9 +198,10 @@ def build(
         agent = PLANNERS[planner].resolve_agent(agent)
     choice = PlannerChoice(planner or EXACT, agent, seed)
     how = None
-    if old is not None and len(arms) > 1:
-        raise InputError("arm", f"{len(arms)} arms", "one, with a structure that is taken apart")
     standing = None if old is None else _read_old(old)
+    if standing is not None and len(arms) > 1 and physics == PLANNED:
+        got = f"{physics}, for two arms where a structure stands"
+        raise InputError("physics", got, PHYSICS[0])
     if arms:
         how = ArmChoice(arms, tool, layout, physics, noise, state, seed)
         how.check()
@@ -230,11 +231,12 @@ def build(
         how = how.read(found, kit)
         if holds and not how.several and has_studs(found, kit):
             raise InputError("holds", holds, "none with one arm, which has one hand")
-    if how is not None and how.several:
+    if how is not None and how.several and standing is None:
         return _with_friction(team_plan(found, kit, how, help_, choice, given), friction)
-    workcell = None if how is None else how.workcell(has_studs(found, kit))
     # Where a structure stands, an arm carries out what is found from the plans of both.
-    builds = workcell if standing is None else None
+    workcell = None
+    if how is not None and standing is None:
+        workcell = how.workcell(has_studs(found, kit))
     if isinstance(found, CellDesign):
         kit = kit_of(found, kit)
         props = supports != "none"
@@ -250,21 +252,21 @@ def build(
                     if one is kits[-1]:
                         raise
             plan = _with_friction(_rebuilt(standing, tried, limit, progress), friction)
-            return _carried_out(plan, workcell, kit.joint_gap, progress)
+            return plan if how is None else rebuilt_by(how, plan, kit.joint_gap, progress)
         if kit.joint.law == "clutch":
-            plan = bricks_plan(found, kit, builds, help_, choice, given)
+            plan = bricks_plan(found, kit, workcell, help_, choice, given)
         else:
-            plan = cells_plan(found, kit, builds, props, choice, given)
+            plan = cells_plan(found, kit, workcell, props, choice, given)
     elif isinstance(found, Goals):
-        plan = goals_plan(found, builds, choice, given)
+        plan = goals_plan(found, workcell, choice, given)
     else:
-        plan = blocks_plan(found, builds, help_, given)
+        plan = blocks_plan(found, workcell, help_, given)
         plan = replace(plan, design=replace(plan.design, source=source))
     if standing is None:
         return _with_friction(plan, friction)
     plan = _with_friction(_rebuilt(standing, [plan], limit, progress), friction)
     joint = found.kit.joint_gap if isinstance(found, Goals) else 0.0
-    return _carried_out(plan, workcell, joint, progress)
+    return plan if how is None else rebuilt_by(how, plan, joint, progress)
 
 
 def reach(
@@ -410,23 +412,6 @@ def _rebuilt(
         found,
         key=lambda plan: (not plan.complete, 0 if plan.rebuilt is None else plan.rebuilt.moves),
     )
-
-
-def _carried_out(
-    plan: Plan, workcell: Workcell | None, joint: float, progress: Callable[[str], None]
-) -> Plan:
-    """A plan from a structure that stands, carried out by an arm, if there is one: every block goes
-    to a magazine of its kind, and comes from there.
-
-    Args:
-        joint: width of a vertical joint [m].
-    """
-    if workcell is None or not plan.complete:
-        return plan
-    from learn2assemble.cell.carry_out import carry_out
-    from learn2assemble.planning.rebuild import with_copies
-
-    return carry_out(with_copies(plan), workcell, joint=joint, progress=progress)
 
 
 def _with_friction(plan: Plan, asked: Bounds) -> Plan:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -24,8 +24,10 @@ from learn2assemble.robot.registry import ARMS, TOOLS
 
 if TYPE_CHECKING:
     from learn2assemble.cell.carry_out import Workcell
+    from learn2assemble.cell.crew import Member
     from learn2assemble.cell.site import Site
     from learn2assemble.cell.site_arms import SiteArm
+    from learn2assemble.cell.workcell import StepOf
 
 
 DEFAULT_TOOL, FINGERS = "suction", "gripper"
@@ -331,36 +333,19 @@ def team_plan(
     Raises:
         InputError: for goals and mortar, and for arms that cannot build it together.
     """
-    from learn2assemble.cell.brick_team import bricks_by_team
     from learn2assemble.cell.in_turn import build_in_turn
-    from learn2assemble.cell.team import plan_by_team, set_up_team
+    from learn2assemble.cell.pair import bricks_by_team
+    from learn2assemble.cell.team import plan_by_team
     from learn2assemble.cell.together import build_together
-    from learn2assemble.cell.workcell import StepOf, Workcell
 
     if isinstance(design, Goals):
         raise InputError("goals", f"{len(how.arms)} arms", "one arm, or a design")
     studs = has_studs(design, kit)
-    arms, site = how.team()
-    arms = with_tools(arms, studs)
     options = {name: value for name, value in given.items() if name != "progress"}
     posts, progress = help_.supports != "none", given["progress"]
-    if site.cameras:
-        raise InputError("layout", "cameras", "none, for several arms")
 
     def built(assembly: Assembly, joint: float) -> Plan:
-        progress("looking where the arms stand and where blocks wait")
-        members = set_up_team(assembly, arms, site, progress)
-        first = members[0].job.arm
-        cell = Workcell(
-            first.name,
-            first.tool_name,
-            site,
-            how.physics,
-            how.seed,
-            how.noise,
-            log=how.state,
-            hands=True,
-        )
+        members, cell = _team(assembly, how, studs, progress)
         order: tuple[StepOf, ...] | None = None
         if studs:
             plan, order = bricks_by_team(assembly, members, cell, progress)
@@ -395,6 +380,56 @@ def team_plan(
         seconds=round(plan.seconds + found.seconds, 3),
         planning_s=plan.planning_s,
     )
+
+
+def rebuilt_by(how: ArmChoice, plan: Plan, joint: float, progress: Callable[[str], None]) -> Plan:
+    """A plan from a structure that stands, carried out by one arm or two: every block goes to a
+    magazine of its kind, and comes from there.
+
+    Args:
+        plan: of :func:`learn2assemble.planning.rebuild.rebuild`.
+        joint: width of a vertical joint [m].
+
+    Raises:
+        InputError: for what the arms cannot hold or reach, and for two of them that are only to be
+            planned for.
+    """
+    from learn2assemble.cell.carry_out import carry_out
+    from learn2assemble.cell.team import told_of
+    from learn2assemble.cell.together import build_together
+    from learn2assemble.planning.rebuild import with_copies
+
+    if not plan.complete or plan.assembly is None:
+        return plan
+    plan = with_copies(plan)
+    if not how.several:
+        return carry_out(plan, how.workcell(), joint=joint, progress=progress)
+    assert plan.assembly is not None
+    members, cell = _team(plan.assembly, how, False, progress)
+    plan = replace(plan, arms=told_of(members))
+    return build_together(plan, members, cell, joint=joint, progress=progress)
+
+
+def _team(
+    assembly: Assembly, how: ArmChoice, studs: bool, progress: Callable[[str], None]
+) -> tuple[list[Member], Workcell]:
+    """Two arms in their cell, and how they build.
+
+    Args:
+        studs: whether blocks have some.
+    """
+    from learn2assemble.cell.team import set_up_team
+    from learn2assemble.cell.workcell import Workcell
+
+    arms, site = how.team()
+    if site.cameras:
+        raise InputError("layout", "cameras", "none, for several arms")
+    progress("looking where the arms stand and where blocks wait")
+    members = set_up_team(assembly, with_tools(arms, studs), site, progress)
+    first = members[0].job.arm
+    name, tool = first.name, first.tool_name
+    physics, seed, noise = how.physics, how.seed, how.noise
+    return members, Workcell(name, tool, site, physics, seed, noise, log=how.state, hands=True)
 
 
 def kit_of(design: CellDesign, kit: Kit | None) -> Kit:

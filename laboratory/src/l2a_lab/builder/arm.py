@@ -18,10 +18,11 @@ import numpy as np
 
 from learn2assemble.assembly.kit import Kit
 from learn2assemble.cell import world as cells
-from learn2assemble.cell.arrange import Arranged, Structure
+from learn2assemble.cell.arrange import Arranged
 from learn2assemble.cell.carry_out import FINGER_ROOMS, Prepared, Workcell, carry_out, wider
 from learn2assemble.cell.pieces import Piece, pieces_of, with_rests
 from learn2assemble.cell.reach import Base, set_up, why_not_turned
+from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.workcell import Job, Progress, StepOf, job_of
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_matrix, yaw_quaternion
