@@ -20,6 +20,7 @@ from learn2assemble.robot.holding import why_not_held
 from learn2assemble.robot.kinematic import Attempt, BlockChecker, KinematicCell
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import (
+    BASE_THERE,
     OPENING,
     Move,
     Outcome,
@@ -131,6 +132,9 @@ def test_ways_lead_past_what_stands_at_the_side_and_above_what_is_between() -> N
     # What is between both places counts, whether it is said to stand at the side or not.
     assert crossing_height(far, move) == height
     assert crossing_height(every._replace(aside=np.arange(12) < 10), move) == height
+    # The base of another arm does not: no way leads above that.
+    base = np.where(np.arange(12) < 10, BASE_THERE, 0)
+    assert crossing_height(every._replace(aside=base), move) == pytest.approx(height - 0.2)
     # Without that, what is at the side does not.
     few = far.rows(np.array([0, 1, 2, 3, 4, 10, 11]), 6)
     assert few.aside is not None

@@ -24,7 +24,7 @@ from learn2assemble.cell.crew import APART, ArmCrew
 from learn2assemble.cell.pieces import pieces_of
 from learn2assemble.cell.site import Site, read_site
 from learn2assemble.cell.site_arms import SiteArm
-from learn2assemble.cell.team import set_up_team, team_reach
+from learn2assemble.cell.team import plan_by_team, set_up_team, team_reach
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
 from learn2assemble.motion.plant import Guard, Motion, Report, Request, Stop, ToolCommand, standing
@@ -287,6 +287,39 @@ def test_each_arm_takes_from_places_of_its_own() -> None:
     for member in members:
         away = [math.dist(s.pose[:2], member.job.base) for s in member.job.sources]
         assert max(away) < 0.85
+
+
+def test_each_arm_is_planned_for_beside_what_the_other_one_takes() -> None:
+    members = set_up_team(balanced(), ARMS, Site())
+    for mine, other in (members, members[::-1]):
+        job, stands = mine.job, other.job.base
+        last = job.obstacles[-1 - len(other.job.sources) :]
+        assert [one.name for one in last] == [
+            "the other arm",
+            *["the other arm's supply"] * len(other.job.sources),
+        ]
+        np.testing.assert_allclose(last[0].centre, stands)
+
+
+def test_courses_of_a_vault_stand_without_posts_beside_one_another() -> None:
+    vault = runpy.run_path(str(EXAMPLES / "vaults.py"))["barrel_vault"](
+        voussoirs=5, courses=3, radius=0.2, thickness=0.08, course=0.06, apart=1e-3
+    )
+    ends = (0.0, -0.53, 0.0, math.pi / 2), (0.0, 0.5, 0.0, -math.pi / 2)
+    arms = [
+        SiteArm(name, name, "suction-wide", base)
+        for name, base in zip(("ur5e", "panda"), ends, strict=True)
+    ]
+    members = set_up_team(vault, arms, Site())
+    plan = plan_by_team(
+        vault, members, posts=False, options={"friction": None, "gap": None, "seconds": 600.0}
+    )
+    assert plan.complete, plan.reason
+    assert plan.blocks.used == 15
+    held = [step for step in plan.steps if step.action == "hold"]
+    # Two of each course, by turns of the arms.
+    assert len(held) == 6
+    assert {step.arm for step in held} == {"ur5e", "panda"}
 
 
 def test_an_arm_comes_past_one_that_leans_over_the_place() -> None:

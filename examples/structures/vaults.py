@@ -16,8 +16,10 @@ def barrel_vault(
     thickness: float = 0.1,
     course: float = 0.1,
     bond: bool = False,
+    apart: float = 0.0,
 ) -> l2a.Assembly:
-    """Semicircular courses of voussoirs one behind the other along y, on the ground.
+    """Semicircular courses of voussoirs one behind the other along y, on the ground, their middle
+    at the origin.
 
     Args:
         voussoirs: of a course.
@@ -26,14 +28,16 @@ def barrel_vault(
         thickness: along the radius [m].
         course: depth of a course [m].
         bond: every other row is shifted by half a course, with half voussoirs at both ends.
+        apart: width of the joints between courses [m].
     """
     blocks = []
     for row, section in enumerate(_sections(voussoirs, radius, thickness)):
-        ends = course * np.arange(courses + 1.0)
+        ends = course * (np.arange(courses + 1.0) - courses / 2)
         if bond and row % 2:
             ends = np.concatenate([ends[:1], ends[:-1] + course / 2, ends[-1:]])
         for number, (y0, y1) in enumerate(pairwise(ends)):
-            corners = [(x, y, z) for x, z in section for y in (y0, y1)]
+            sides = y0 + apart / 2, y1 - apart / 2
+            corners = [(x, y, z) for x, z in section for y in sides]
             blocks.append(l2a.hull_block(f"r{row}c{number}", corners))
     return l2a.Assembly(tuple(blocks), friction=0.6, name="barrel_vault")
 

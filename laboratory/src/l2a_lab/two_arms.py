@@ -8,12 +8,13 @@ keep from each other is measured by another collision library (:mod:`.arm_distan
 
 from __future__ import annotations
 
+import math
 import runpy
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
 from learn2assemble.cell.carry_out import carry_out
 from learn2assemble.cell.crew import Member
 from learn2assemble.cell.in_turn import build_in_turn
+from learn2assemble.cell.reach import Base
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import plan_by_team, set_up_team
@@ -62,16 +64,51 @@ ASKED = 0.62
 """Of the time of one arm, for the eight."""
 LONGEST = 60.0
 """That planning may take [s]."""
-HELD = {"arch of 9": (9, 0.3, 0.08, None), "arch of 21": (21, 0.5, 0.14, 400.0)}
-"""What is built with one arm holding while the other one brings the next block: voussoirs, radius
-and thickness [m], density where it is not the usual one [kg/m^3], ..."""
+
+
+class Held(NamedTuple):
+    """What is built with one arm holding while the other one brings the next block."""
+
+    file: str
+    """Of the example, and its function, ..."""
+    made: str
+    size: dict[str, float]
+    """... with these arguments, a radius among them."""
+    builds: int
+    """How often, see :data:`SWAY`."""
+    density: float | None = None
+    """Where it is not the usual one [kg/m^3]."""
+    bases: tuple[Base, ...] = ()
+    """Of both arms, where they do not stand as they do by themselves."""
+
+
+HELD = {
+    "arch of 9": Held("arch", "arch", {"voussoirs": 9, "radius": 0.3, "thickness": 0.08}, 8),
+    "arch of 21": Held(
+        "arch", "arch", {"voussoirs": 21, "radius": 0.5, "thickness": 0.14}, 3, 400.0
+    ),
+    "vault of 45": Held(
+        "vaults",
+        "barrel_vault",
+        {
+            "voussoirs": 5,
+            "courses": 9,
+            "radius": 0.2,
+            "thickness": 0.08,
+            "course": 0.06,
+            "apart": 1e-3,
+        },
+        3,
+        800.0,
+        ((0.0, -0.53, 0.0, math.pi / 2), (0.0, 0.5, 0.0, -math.pi / 2)),
+    ),
+}
 WIDE = "suction-wide"
-"""... with which tool of both: the cup of 30 mm slips under what an arch thrusts, and its blocks
-end so far from their places that the last one does not go in."""
-SWAYED, SWAYED_LARGE, SWAY = 8, 3, 1e-7
-"""How often the first is built, and the others, each time with a radius larger by this [m]: where
-the last blocks come to rest between their neighbours hangs on less than that, so one build alone
-says little."""
+"""The tool of both: the cup of 30 mm slips under what an arch thrusts, and its blocks end so far
+from their places that the last one does not go in."""
+SWAY = 1e-7
+"""Each build has a radius larger by this [m]: where the last blocks come to rest between their
+neighbours hangs on less than that, so one build alone says little."""
 NOISY, NOISY_SHARE = 20, 0.8
 """How often it is built by what is sensed, and which share of these shall be complete."""
 MOST_OFF = 1e-3
@@ -89,10 +126,8 @@ def names() -> list[str]:
         for who in (*ARMS, BOTH)
     ]
     built += [f"bricks/{what}/{who}" for what in BRICKS for who in (ARM, BOTH)]
-    first, *others = HELD
-    built += [f"holds/{first}/{number}" for number in range(SWAYED)]
-    built += [f"holds/{what}/{number}" for what in others for number in range(SWAYED_LARGE)]
-    built += [f"noise/{first}/{number}" for number in range(NOISY)]
+    built += [f"holds/{what}/{number}" for what in HELD for number in range(HELD[what].builds)]
+    built += [f"noise/{next(iter(HELD))}/{number}" for number in range(NOISY)]
     return [*built, *(f"stopped/{STOPPED}/{number}" for number in range(STOPS))]
 
 
@@ -149,14 +184,17 @@ def _holding(what: str, radius: float, workcell: Workcell, started: float) -> Re
 
 @lru_cache(maxsize=1)
 def _planned(what: str, radius: float) -> tuple[Plan, list[Member]]:
-    """An arch that is planned with both arms, and these."""
-    count, own, thickness, density = HELD[what]
-    made = runpy.run_path(str(STRUCTURES / "arch.py"))["arch"]
-    arch = made(count, radius=own + radius, thickness=thickness)
-    if density is not None:
-        blocks = tuple(replace(block, density=density) for block in arch.blocks)
+    """An arch or a vault that is planned with both arms, and these."""
+    held = HELD[what]
+    made = runpy.run_path(str(STRUCTURES / f"{held.file}.py"))[held.made]
+    arch = made(**{**held.size, "radius": held.size["radius"] + radius})
+    if held.density is not None:
+        blocks = tuple(replace(block, density=held.density) for block in arch.blocks)
         arch = replace(arch, blocks=blocks)
-    members = set_up_team(arch, [SiteArm(arm, arm, WIDE) for arm in ARMS], Site())
+    arms = [SiteArm(arm, arm, WIDE) for arm in ARMS]
+    if held.bases:
+        arms = [arm._replace(base=at) for arm, at in zip(arms, held.bases, strict=True)]
+    members = set_up_team(arch, arms, Site())
     # The clock is not to decide: seconds of planning are told, not limited.
     options = {"friction": None, "gap": None, "seconds": 10 * LONGEST}
     return plan_by_team(arch, members, options=options), members

@@ -25,7 +25,6 @@ from learn2assemble.cell.building import Prepared
 from learn2assemble.cell.crew import Member
 from learn2assemble.cell.pieces import with_rests
 from learn2assemble.cell.reach import cells_of, with_home
-from learn2assemble.cell.site import Obstacle
 from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.taking_apart import arrange_bricks, plan_in_order
 from learn2assemble.cell.team import told_of
@@ -37,8 +36,6 @@ from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematic import KinematicCell
 
-BASE = (0.3, 0.3, 0.5)
-"""Size of the box that the base of the other arm is for the ways of blocks [m]."""
 HOMES = (0.25, 0.3, 0.35)
 """So far in front of its base the tool waits, the preferred one first [m]."""
 
@@ -147,11 +144,7 @@ def jobs_of(
         )
         for member in members
     ]
-    jobs = [replace(job, arm=back(job)) for job in jobs]
-    first, second = (
-        replace(job, obstacles=(*job.obstacles, *occupied(other)))
-        for job, other in zip(jobs, reversed(jobs), strict=True)
-    )
+    first, second = (replace(job, arm=back(job)) for job in jobs)
     return first, second
 
 
@@ -190,23 +183,6 @@ def back(job: Job) -> Arm:
     x, y = (-job.base / max(float(np.linalg.norm(job.base)), 1e-9)).tolist()
     places = itertools.product(HOMES, (0.25, 0.15))
     return with_home(job.arm, (x, y), max(piece.top for piece in job.pieces), places)
-
-
-def occupied(job: Job) -> list[Obstacle]:
-    """What the other arm must not touch of one: where it stands, and where its blocks wait."""
-    x, y = job.base.tolist()
-    found = [Obstacle((x, y), BASE, float(job.arm.base_yaw), 0.0, "the other arm", True)]
-    for source in job.sources:
-        a, b, c, d = source.area.bounds
-        tall = max(
-            float(piece.corners(piece.waiting(source.pose))[:, 2].max())
-            for piece in job.pieces
-            if source.presents(piece)
-        )
-        size = (c - a, d - b, tall)
-        middle = (a + c) / 2, (b + d) / 2
-        found.append(Obstacle(middle, size, 0.0, 0.0, "the other arm's supply", True))
-    return found
 
 
 def shared_out(

@@ -133,9 +133,10 @@ class Obstacle(NamedTuple):
     """Above the table [m]."""
     name: str = "obstacles"
     """What messages call it."""
-    arm: bool = False
-    """Whether it stands for another arm and what that takes, which are in the cell themselves; such
-    are the last ones of a job."""
+    arm: int = 0
+    """:data:`~learn2assemble.robot.moves.AT_THE_SIDE` or ``BASE_THERE`` where it stands for what
+    another arm takes, or for that itself, which are in the cell themselves; such are the last ones
+    of a job."""
 
     @property
     def middle(self) -> tuple[float, float, float]:

@@ -34,7 +34,7 @@ from learn2assemble.cell.reach import (
     supplied,
     way_down,
 )
-from learn2assemble.cell.site import Site, Source, given_sources, outline
+from learn2assemble.cell.site import Obstacle, Site, Source, given_sources, outline
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.workcell import Job, Progress, StepOf
 from learn2assemble.errors import InputError
@@ -49,6 +49,7 @@ from learn2assemble.robot.capsules import capsules_of, placed
 from learn2assemble.robot.grasps import LEVEL, UPRIGHT
 from learn2assemble.robot.holding import Way, attitude, tilt_of, ways_to_turn
 from learn2assemble.robot.kinematics import get_chain
+from learn2assemble.robot.moves import AT_THE_SIDE, BASE_THERE
 
 BESIDE = 0.32
 """Bases stand no nearer to each other, for what they cover [m]."""
@@ -65,6 +66,8 @@ NARROW = 0.09
 no room side by side above it and the next one."""
 ABOVE = 0.01
 """All of an arm stays so far above the ground then [m]."""
+BASE = (0.3, 0.3, 0.5)
+"""Size of the box that the base of the other arm is for the ways of blocks [m]."""
 TOOL = "suction"
 """Of an arm of which nothing else is said."""
 
@@ -194,7 +197,8 @@ def _without_props(assembly: Assembly) -> Assembly:
 def set_up_team(
     assembly: Assembly, arms: Sequence[SiteArm], site: Site, progress: Progress = silent
 ) -> list[Member]:
-    """The arms of a cell at their bases, each with places to take blocks from.
+    """The arms of a cell at their bases, each with places to take blocks from, and with what the
+    others take as obstacles.
 
     Args:
         assembly: what is built; its steps and props are not looked at.
@@ -255,7 +259,30 @@ def set_up_team(
             at = [round(v, 4) for v in magazine.pose]
             what = f"{site.source}: magazines[{n}]"
             raise InputError(what, at, "a place that one of the arms takes from and reaches")
-    return members
+    return [_clear_of(member, [m.job for m in members if m is not member]) for member in members]
+
+
+def _clear_of(member: Member, others: Sequence[Job]) -> Member:
+    """The arm, which keeps clear of what others take."""
+    taken = (one for job in others for one in occupied(job))
+    return replace(member, job=replace(member.job, obstacles=(*member.job.obstacles, *taken)))
+
+
+def occupied(job: Job) -> list[Obstacle]:
+    """What the other arm must not touch of one: where it stands, and where its blocks wait."""
+    x, y = job.base.tolist()
+    found = [Obstacle((x, y), BASE, float(job.arm.base_yaw), 0.0, "the other arm", BASE_THERE)]
+    for source in job.sources:
+        a, b, c, d = source.area.bounds
+        tall = max(
+            float(piece.corners(piece.waiting(source.pose))[:, 2].max())
+            for piece in job.pieces
+            if source.presents(piece)
+        )
+        size = (c - a, d - b, tall)
+        middle = (a + c) / 2, (b + d) / 2
+        found.append(Obstacle(middle, size, 0.0, 0.0, "the other arm's supply", AT_THE_SIDE))
+    return found
 
 
 def is_narrow(contacts: Contacts) -> bool:

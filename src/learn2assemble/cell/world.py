@@ -21,7 +21,7 @@ from learn2assemble.geometry.rotations import (
 from learn2assemble.robot.bodies import Shape
 from learn2assemble.robot.grasps import WAY, facing
 from learn2assemble.robot.holding import attitude, ways_to_turn
-from learn2assemble.robot.moves import ARM_THERE, AT_THE_SIDE, Move, Scene
+from learn2assemble.robot.moves import ARM_THERE, Move, Scene
 
 if TYPE_CHECKING:
     from learn2assemble.cell.pieces import Piece
@@ -265,7 +265,7 @@ def _aside(world: WorkcellBlocks, count: int) -> np.ndarray | None:
         count: of the rows of the scene, of which obstacles are the first ones.
     """
     found, fixed = np.zeros(count, np.int8), world.job.obstacles
-    found[: len(fixed)] = [AT_THE_SIDE * one.arm for one in fixed]
+    found[: len(fixed)] = [one.arm for one in fixed]
     found[len(fixed) : len(fixed) + len(world.arm)] = ARM_THERE
     return found if found.any() else None
 

@@ -70,9 +70,9 @@ LEVEL_TABLE = (0.0, 0.0, 0.0)
 """A table as it should be, see :attr:`Scene.table`."""
 
 
-AT_THE_SIDE, ARM_THERE = 1, 2
-"""Of an obstacle: ways lead past it unless it is between both ends of one; it is a part of an arm
-that stands there, and ways lead past it wherever it is."""
+AT_THE_SIDE, BASE_THERE, ARM_THERE = 1, 2, 3
+"""Of an obstacle: ways lead past it unless it is between both ends of one; it is the base of an
+arm, or a part of one that stands there, and ways lead past it wherever it is."""
 
 
 class Scene(NamedTuple):
@@ -105,8 +105,8 @@ class Scene(NamedTuple):
     table: tuple[float, float, float] = LEVEL_TABLE
     """How high the table is at the origin [m], and by how much it leans about x and y [rad]."""
     aside: np.ndarray | None = None
-    """int8[n]: :data:`AT_THE_SIDE` or :data:`ARM_THERE` of obstacles that ways lead past, not
-    above, 0 of all else; None: there are none of these."""
+    """int8[n]: :data:`AT_THE_SIDE`, :data:`BASE_THERE` or :data:`ARM_THERE` of obstacles that ways
+    lead past, not above, 0 of all else; None: there are none of these."""
 
     @property
     def halves(self) -> np.ndarray:
@@ -353,7 +353,7 @@ def _passed(scene: Scene, move: Move) -> np.ndarray:
     carries = np.linalg.norm(scene.position[members] - scene.position[move.cell], axis=1)
     size = float((carries + np.linalg.norm(scene.halves[members], axis=1)).max())
     room = np.hypot(*scene.halves[:, :2].T) + size + CLEARANCE
-    return (scene.aside == ARM_THERE) | (scene.aside == AT_THE_SIDE) & (apart > room)
+    return (scene.aside >= BASE_THERE) | (scene.aside == AT_THE_SIDE) & (apart > room)
 
 
 def overload(arm: Arm, scene: Scene, move: Move) -> str | None:
