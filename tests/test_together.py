@@ -437,7 +437,7 @@ def test_the_page_shows_both(built: tuple[Path, dict[str, Any]]) -> None:
     assert "Built by arms ur5e and panda" in text
     assert len(re.findall(r'<rect class="reached" data-segment="\d+" x="[\d.]+" y="0"', text)) > 0
     assert len(re.findall(r'<rect class="reached" data-segment="\d+" x="[\d.]+" y="10"', text)) > 0
-    assert "Placed by panda." in text
+    assert "Done by panda." in text
     playback = Playback(plan.records, plan)
     both = [
         (a, b)

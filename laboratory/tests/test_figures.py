@@ -139,10 +139,13 @@ def test_what_two_arms_save_on_pairs_is_that_of_the_file() -> None:
     both = [(entries[f"carried/{seed}"], entries[f"carried-two/{seed}"]) for seed in range(CARRIED)]
     shares = [two["robot_s"] / one["robot_s"] for one, two in both]
     told = f"take {min(shares):.2f} to {max(shares):.2f} of the time of one, {np.mean(shares):.2f}"
-    assert told in (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    assert told in text
     every = [one for pair in both for one in pair]
     assert all(one["status"] == "complete" and not one["states_that_fall"] for one in every)
-    assert all(one["attempts"] == one["steps"] for one in every)
+    more = sum(one["attempts"] - one["steps"] for one in every)
+    off = 1e3 * max(one["error_worst"] for one in every)
+    assert f"(in all ten builds {more} more), and no block is farther than {off:.2f} mm" in text
 
 
 def test_designs_are_measured_once_and_kept(

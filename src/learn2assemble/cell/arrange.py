@@ -31,8 +31,8 @@ BESIDE, HAND, LEVEL = 0.5, 0.1, 1e-3
 height, as far as a hand reaches [m]; what ends so little above the bottom of another is lower [m].
 """
 FINGERS = 0.03
-"""Bricks that are nearer to each other come one after the other as was found: fingers are as thick,
-and open as far [m]."""
+"""What fingers hold and is nearer to each other comes one after the other as was found: they are as
+thick, and open as far [m]."""
 
 Waits = dict[StepOf, set[StepOf]]
 """By step, those that come before it."""
@@ -267,7 +267,7 @@ def _as_found(job: Job) -> Waits:
     and how far what stands bears a press, hangs on what is there already. What is taken away goes
     before lower blocks near it come or go. Of what is built beside one part comes after the other,
     as their places on the table may be the same."""
-    world = WorkcellBlocks(job)
+    world, beside = WorkcellBlocks(job), 0.0 if job.arm.suction else FINGERS
     put_beside(world, job.steps)
     bounds = list[tuple[np.ndarray, np.ndarray]]()
     for step in job.steps:
@@ -283,7 +283,7 @@ def _as_found(job: Job) -> Waits:
             if step.remove or one.remove:
                 rise = np.abs(rise)
             rise = np.minimum(BESIDE * rise, HAND)
-            if (gap < np.maximum(rise, FINGERS)).any() or (_apart(step) and _apart(one)):
+            if (gap < np.maximum(rise, beside)).any() or (_apart(step) and _apart(one)):
                 found.setdefault(step, set()).add(one)
     return found
 

@@ -158,7 +158,8 @@ class Together(Generic[Cell]):
         for who, building in enumerate(self.buildings):
             building.attempts.announce = self._announcer(who)
             put_beside(building.world, job.steps)
-            building.known.waits = steps_before(job, structure, crew.found[who].order.steps)
+            found = crew.found[who]
+            building.known.waits = steps_before(found.job, structure, found.order.steps)
         self.begun: float = 0.0
         """When [s of the plant's clock]."""
         self.turns: list[Turn] = []

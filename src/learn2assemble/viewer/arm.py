@@ -72,7 +72,7 @@ class Labels(NamedTuple):
             arm: whose it is, where there are several.
         """
         if step.outcome == Outcome.REACHED and step.plan_step is not None:
-            return self.captions[step.plan_step] + (f" Placed by {arm}." if arm else "")
+            return self.captions[step.plan_step] + (f" Done by {arm}." if arm else "")
         block = object_name(step, self.names)
         text = f"{block[0].upper()}{block[1:]}: {step.outcome.label}. {sentence(step.detail)}"
         if step.replanned:
