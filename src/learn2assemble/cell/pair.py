@@ -92,8 +92,8 @@ def gather(
     found, cells = list[Prepared](), list[Workcell]()
     for number, (job, cell) in enumerate(zip(jobs, kinematic, strict=True)):
         (steps, stuck), (others, _) = can[number], can[1 - number]
-        order = shared_out(job, structure, steps, set(others), number)
-        found.append(Prepared(job, structure, Arranged(order, stuck), cell))
+        own = shared_out(job, structure, steps, set(others), number)
+        found.append(Prepared(job, structure, Arranged(own, stuck), cell))
         cells.append(workcell_of(workcell, job))
     reached = {step for one in found for step in one.order.steps}
     left = [step for step in first.steps if step not in reached]

@@ -213,7 +213,7 @@ class Choice:
         place or take away is there or not."""
         # What is only put aside comes to no place.
         moved = {k for k in self.elsewhere if k < len(self.job.pieces)}
-        states = (frozenset(standing - moved), frozenset(standing | moved))
+        states = {frozenset(standing - moved), frozenset(standing | moved)}
         return all(self.structure.takes(step, state, self.world) for state in states)
 
     def _left(self, block: int, what: str) -> int:

@@ -391,8 +391,7 @@ def rebuilt_by(how: ArmChoice, plan: Plan, joint: float, progress: Callable[[str
         joint: width of a vertical joint [m].
 
     Raises:
-        InputError: for what the arms cannot hold or reach, and for two of them that are only to be
-            planned for.
+        InputError: for what the arms cannot hold or reach.
     """
     from learn2assemble.cell.carry_out import carry_out
     from learn2assemble.cell.team import told_of
