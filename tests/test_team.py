@@ -289,6 +289,15 @@ def test_each_arm_takes_from_places_of_its_own() -> None:
         assert max(away) < 0.85
 
 
+def test_what_is_wider_than_arms_reach_is_one_line() -> None:
+    ends = ((0.9, 0.0), (-0.9, 0.0), (0.0, 0.9), (0.0, -0.9))
+    posts = [
+        box_block(str(k), (x, y, 0.0), (x + 0.1, y + 0.1, 0.1)) for k, (x, y) in enumerate(ends)
+    ]
+    with pytest.raises(InputError, match="blocks out of it"):
+        set_up_team(Assembly(tuple(posts)), ARMS, Site())
+
+
 def test_each_arm_is_planned_for_beside_what_the_other_one_takes() -> None:
     members = set_up_team(balanced(), ARMS, Site())
     for mine, other in (members, members[::-1]):

@@ -122,8 +122,8 @@ def team_reach(
             best = cost, base
         if best[0] == (0, 0):
             break
-    assert best is not None
-    placed = _placed(arms, best[1])
+    # What is as wide as arms reach leaves no room beside it: told from where is what they miss.
+    placed = _placed(arms, (-DISTANCES[0], 0.0, 0.0, 0.0) if best is None else best[1])
     _check_apart(placed)
     return _reached(placed, pieces, level)
 
