@@ -142,20 +142,13 @@ def _arrange(
                 if not structure.stands(frozenset(after)):
                     stuck.setdefault(step.block, "it would fall")
                     continue
-                into, why = structure.ways_in(step.block, standing), ""
-                for one, world in zip(arms, worlds, strict=True):
-                    failed = try_step(world, one.cell, step, into)
-                    if failed is None:
-                        break
-                    why = why or failed
-                else:
-                    failed = why
-                if failed is None:
+                why = _tried(arms, worlds, step, structure.ways_in(step.block, standing))
+                if why is None:
                     break
                 if job.hands and job.pieces[step.block].prop:
                     by_hand.add(step)
                     break
-                stuck[step.block] = failed
+                stuck[step.block] = why
             else:
                 missing = {s.block: "what it stands on is missing" for s in left if not s.remove}
                 return Arranged(tuple(order), missing | stuck, frozenset(by_hand))
@@ -167,6 +160,22 @@ def _arrange(
                 world.state[step.block] = RETURNED if step.remove else STANDING
             found.add()
     return Arranged(tuple(order), {}, frozenset(by_hand))
+
+
+def _tried(
+    arms: Sequence[Hands],
+    worlds: Sequence[WorkcellBlocks],
+    step: StepOf,
+    into: Sequence[Direction],
+) -> str | None:
+    """Why none of the arms can do a step, as the first one has it; None if one of them can."""
+    reasons = list[str]()
+    for one, world in zip(arms, worlds, strict=True):
+        why = try_step(world, one.cell, step, into)
+        if why is None:
+            return None
+        reasons.append(why)
+    return reasons[0]
 
 
 def try_step(
@@ -269,22 +278,24 @@ def _as_found(job: Job) -> Waits:
     as their places on the table may be the same."""
     world, beside = WorkcellBlocks(job), 0.0 if job.arm.suction else FINGERS
     put_beside(world, job.steps)
-    bounds = list[tuple[np.ndarray, np.ndarray]]()
-    for step in job.steps:
-        taken = [step.block, *step.group]
-        shift = np.zeros((len(taken), 1, 3)) if step.group else world.beside[taken][:, None]
-        ends = np.array([job.pieces[k].extent for k in taken]) + shift
-        bounds.append((ends[:, 0], ends[:, 1]))
+    parts, owner = list[np.ndarray](), list[int]()
+    for number, step in enumerate(job.steps):
+        for k in (step.block, *step.group):
+            shift = np.zeros(3) if step.group else world.beside[k]
+            parts.append(np.array(job.pieces[k].extent) + shift)
+            owner.append(number)
+    low, high = np.array(parts).reshape(-1, 2, 3).transpose(1, 0, 2)
+    gap = np.maximum(low[:, None, :2] - high[None, :, :2], low[None, :, :2] - high[:, None, :2])
+    rise = high[:, None, 2] - high[None, :, 2]
+    gone = np.array([job.steps[number].remove for number in owner], bool)
+    rise = np.where(gone[:, None] | gone, np.abs(rise), rise)
+    near = gap.max(2) < np.maximum(np.minimum(BESIDE * rise, HAND), beside)
+    apart = np.array([_apart(job.steps[number]) for number in owner], bool)
+    near |= apart[:, None] & apart
     found: Waits = {}
-    for n, (step, (low, high)) in enumerate(zip(job.steps, bounds, strict=True)):
-        for one, (under, over) in zip(job.steps[:n], bounds[:n], strict=True):
-            gap = np.maximum(low[:, None] - over[None], under[None] - high[:, None])[..., :2].max(2)
-            rise = high[:, None, 2] - over[None, :, 2]
-            if step.remove or one.remove:
-                rise = np.abs(rise)
-            rise = np.minimum(BESIDE * rise, HAND)
-            if (gap < np.maximum(rise, beside)).any() or (_apart(step) and _apart(one)):
-                found.setdefault(step, set()).add(one)
+    for one, other in np.argwhere(near).tolist():
+        if owner[other] < owner[one]:
+            found.setdefault(job.steps[owner[one]], set()).add(job.steps[owner[other]])
     return found
 
 

@@ -145,7 +145,7 @@ class Recording:
         self.like: list[int] = []
         """Of every block beyond those of the plan, the piece it is like."""
         self.cells: list[tuple[int, ...]] = world.cells()
-        self.obstacles: list[Obstacle] = [one for one in self.job.obstacles if not one.arm]
+        self.obstacles: list[Obstacle] = [one for one in self.job.obstacles if not one.aside]
         self.fixed: list[int] = [sum(map(len, self.cells)) + n for n in range(len(self.obstacles))]
         self.hands: list[ByHand] = []
         self.begin(joints, 0.0)

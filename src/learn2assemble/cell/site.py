@@ -133,7 +133,7 @@ class Obstacle(NamedTuple):
     """Above the table [m]."""
     name: str = "obstacles"
     """What messages call it."""
-    arm: int = 0
+    aside: int = 0
     """:data:`~learn2assemble.robot.moves.AT_THE_SIDE` or ``BASE_THERE`` where it stands for what
     another arm takes, or for that itself, which are in the cell themselves; such are the last ones
     of a job."""

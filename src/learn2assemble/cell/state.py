@@ -166,7 +166,7 @@ class Choice:
                 blocked[step.block] = ELSEWHERE
                 continue
             if step.remove and step.block not in self.job.standing:
-                # Nobody knows how long a prop carries what has come meanwhile.
+                # A prop may carry whatever came behind it: it goes when all of that is there.
                 if not ready and not blocked:
                     ready.append(step)
                 break

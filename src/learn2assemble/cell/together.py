@@ -141,7 +141,7 @@ class Together(Generic[Cell]):
     ) -> None:
         first, second = (one.job.arm for one in crew.found)
         job = crew.found[0].job
-        own = replace(job, obstacles=tuple(one for one in job.obstacles if not one.arm))
+        own = replace(job, obstacles=tuple(one for one in job.obstacles if not one.aside))
         structure = crew.found[0].structure
         setup = setup_of(own, crew.workcells[0], structure)._replace(others=(second,))
         self.plant, self.traffic = opened(setup), Traffic((first, second))

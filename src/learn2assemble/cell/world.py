@@ -265,7 +265,7 @@ def _aside(world: WorkcellBlocks, count: int) -> np.ndarray | None:
         count: of the rows of the scene, of which obstacles are the first ones.
     """
     found, fixed = np.zeros(count, np.int8), world.job.obstacles
-    found[: len(fixed)] = [one.arm for one in fixed]
+    found[: len(fixed)] = [one.aside for one in fixed]
     found[len(fixed) : len(fixed) + len(world.arm)] = ARM_THERE
     return found if found.any() else None
 
