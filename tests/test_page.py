@@ -327,6 +327,24 @@ def test_blocks_are_drawn_in_every_layer_they_reach_into(browser: str, tmp_path:
 
 
 @pytest.mark.browser
+def test_layers_are_those_of_what_is_built(browser: str, tmp_path: Path) -> None:
+    """A tower of three is turned into one block on the old ground: the tower has no layers."""
+    tower = [box_block(f"old {z}", (0, 0, z), (1, 1, z + 1), kind="old") for z in range(3)]
+    new = box_block("new", (2, 0, 0), (3, 1, 1), kind="new")
+    away = [AssemblyStep(remove=block.id) for block in tower[::-1]]
+    turned = Assembly((*tower, new), (*away, AssemblyStep("new")))
+    write_assembly_page(tmp_path / "view.html", turned, title="turned")
+    (layer,) = page_data((tmp_path / "view.html").read_text())["layers"]
+    assert layer.startswith("Layer 1 of 1, from 0 mm: 1 of new. Its first block, of step 4")
+    page = f"{(tmp_path / 'view.html').as_uri()}#step=4"
+    dom, log = browse(browser, tmp_path / "run", page, *FLAT, "--dump-dom")
+    assert "CONSOLE" not in log, log
+    plan = re.search(r'id="layer-plan".*?</svg>', dom, re.DOTALL)
+    assert plan
+    assert set(re.findall(r'data-step="(\d+)"', plan[0])) == {"4"}
+
+
+@pytest.mark.browser
 def test_the_page_runs_without_an_error(browser: str, tmp_path: Path) -> None:
     write_assembly_page(tmp_path / "view.html", with_prop(), title="prop")
     dom, log = browse(

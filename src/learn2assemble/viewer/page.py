@@ -138,7 +138,7 @@ def render_assembly_page(
     data = scene.scene_data(parts, shapes, layers, len(steps), assembly.joint)
     data |= _plan_data(plan) | {
         "captions": captions,
-        "layers": tables.layer_words(_once(parts), layers, noted),
+        "layers": tables.layer_words(_built(parts), layers, noted),
         "joints": scene.joint_data(forces) if forces is not None else None,
         "marks": scene.mark_data(marks),
         "scale": scene.scale_data(told.origin, _corners(parts)[1] - told.origin),
@@ -185,8 +185,9 @@ def render_assembly_page(
             f" Built by {arms_words(playback).lower()}: {arm_summary(playback.record)}."
         )
         if data["arm"]["truth"] is not None:
-            words = "where a block really is, errors {} times as large"
-            page["legend"] += tables.entry("truth", words.format(data["arm"]["truth"]["scale"]))
+            words, scale = "where a block really is", data["arm"]["truth"]["scale"]
+            words += f", errors {scale} times as large" * (scale > 1)
+            page["legend"] += tables.entry("truth", words)
         page["attempts"] = place_section(
             playback, told.origin, "" if plan.arm is None else plan.arm.planed_words
         )
@@ -194,6 +195,11 @@ def render_assembly_page(
         page["attempts"] += error_section(playback, labels.names)
         scripts = (*_SCRIPTS[:-1], "arm.js", _SCRIPTS[-1])
     return stand_alone(page, data, scripts, (_SHOW, _BLOCKS))
+
+
+def _built(parts: Sequence[ScenePart]) -> list[ScenePart]:
+    """One stay of every block, without what stood before and is gone at the end."""
+    return [part for part in _once(parts) if part.placed or not part.removed]
 
 
 def _once(parts: Sequence[ScenePart]) -> list[ScenePart]:

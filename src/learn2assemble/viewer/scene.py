@@ -277,11 +277,14 @@ def block_parts(
             holds = stays[step.block][-1].holds
             holds[-1] = (holds[-1][0], number)
     bottoms = np.array([block.vertices[:, 2].min() for block in assembly.blocks])
-    layers = _layers(bottoms, [float(np.ptp(block.vertices[:, 2])) for block in assembly.blocks])
+    heights = np.array([np.ptp(block.vertices[:, 2]) for block in assembly.blocks])
+    built = np.array([any(s.placed or not s.removed for s in stays[b.id]) for b in assembly.blocks])
+    built |= not built.any()
+    layers = _layers(bottoms[built], heights[built].tolist())
     numbers: dict[Any, int] = {}
     shapes: list[Block] = []
     parts = list[ScenePart]()
-    level = np.searchsorted(layers, bottoms, side="right") - 1
+    level = np.maximum(np.searchsorted(layers, bottoms, side="right") - 1, 0)
     for block, layer, (kind, colour) in zip(
         assembly.blocks, level.tolist(), kinds_and_colours(assembly), strict=True
     ):

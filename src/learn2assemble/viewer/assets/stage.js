@@ -220,8 +220,8 @@ function createStage(canvas, data) {
     return { lift: Math.round(1000 * share * share) / 1000, colour: shown };
   }
 
-  function inLayer({ layer, colour }) {
-    return { lift: 0, colour: layer > cut ? null : layer < cut ? `faded ${colour}` : colour };
+  function inLayer({ layer, colour, placed, removed }) {
+    return { lift: 0, colour: layer > cut || isOld(placed, removed) ? null : layer < cut ? `faded ${colour}` : colour };
   }
 
   function shade(name, colours) {
@@ -476,6 +476,11 @@ function readShapes({ vertices, triangles, wide, first, faces }, sun) {
   });
 }
 
+/* Whether a block stood before the first step and is gone at the end: no part of what is built. */
+function isOld(placed, removed) {
+  return !placed && removed > 0;
+}
+
 /* The plan of one layer seen from above: the blocks that begin in it, those from below that reach
    into it, and the layer below as dashed outlines. */
 function createLayers(data, stage) {
@@ -483,6 +488,7 @@ function createLayers(data, stage) {
   const slider = find("layer"), plan = find("layer-plan");
   const byLayer = data.layers.map(() => []);
   for (const block of blocks) {
+    if (isOld(block.placed, block.removed)) continue;
     data.shapes.sections[block.shape].forEach(([low, high, rings, middle], number) => {
       const [bottom, top] = [low + block.at[2], high + block.at[2]];
       data.heights.forEach((height, layer) => {
