@@ -17,6 +17,8 @@ from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.cuts import POST
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.assembly.parts import to_manifold
+from learn2assemble.cell.structure import ways_in
+from learn2assemble.cell.workcell import DOWN
 from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.clearance import LEVEL, Clearance, overlap, parts_of
@@ -287,6 +289,32 @@ def test_an_arch_needs_one_hand_that_holds_and_no_post(voussoirs: int) -> None:
     assert held == 0
 
 
+def test_posts_come_before_a_search_with_hands_that_leads_nowhere() -> None:
+    """The upper blocks of a dome slide until their ring is closed, more of them than hands hold."""
+    size = {"rings": 2, "voussoirs": 6, "radius": 0.25, "thickness": 0.08, "top": 70.0}
+    dome = replace(script("dome").dome(**size, key=False), friction=0.4)
+    plan = plan_assembly(dome, supports="posts", holds=1)
+    assert_every_state_stands(plan)
+    assert 0 < most(plan, "place", "remove", POST) <= 3
+
+
+def test_a_voussoir_comes_beside_others_on_a_way_that_leads_away_from_them() -> None:
+    """Straight down it would slide along their side faces."""
+    dome = script("dome").dome(2, 6, 0.25, 0.08, 50.0, key=False)
+    joints, ring = find_contacts(dome), set(range(6))
+    for beside in ({7}, {7, 9}):
+        came = ways_in(joints, 8, ring | beside)
+        touched = [
+            normal if b == 8 else -normal
+            for a, b, normal in zip(joints.a, joints.b, joints.normal, strict=True)
+            if 8 in (a, b) and {int(a), int(b)} - {8} <= ring | beside
+        ]
+        assert (np.array(touched) @ -np.array(came[0])).min() > 0.04
+    # A block on level ground comes straight down, whatever stands beside it.
+    pair = [box_block("a", (0, 0, 0), (1, 1, 1)), box_block("b", (1, 0, 0), (2, 1, 1))]
+    assert ways_in(find_contacts(Assembly(tuple(pair))), 1, {0})[0] == DOWN
+
+
 def test_without_help_an_arch_is_not_built_and_it_is_said_what_would_help() -> None:
     plan = plan_assembly(script("arch").arch(7), supports="none")
     assert plan.status == "incomplete"
@@ -455,6 +483,12 @@ class _Digits:
 
     def left(self, move: Transition) -> tuple[int, int]:
         return 3 - int(move.state.present.sum()), 0
+
+
+def test_a_search_that_comes_no_farther_gives_up() -> None:
+    rules = _Digits(100, True)
+    assert not depth_first(rules, Clock(60), idle=3).complete
+    assert rules.looked == 5, "two that came farther, and three that did not"
 
 
 def test_a_dead_end_is_left_by_the_last_choice_and_work_is_counted() -> None:

@@ -102,6 +102,21 @@ HELD = {
         800.0,
         ((0.0, -0.53, 0.0, math.pi / 2), (0.0, 0.5, 0.0, -math.pi / 2)),
     ),
+    "dome of 60": Held(
+        "dome",
+        "dome",
+        {
+            "rings": 5,
+            "voussoirs": 12,
+            "radius": 0.25,
+            "thickness": 0.08,
+            "top": 75.0,
+            "key": False,
+        },
+        3,
+        800.0,
+        ((-0.6, 0.0, 0.0, 0.0), (0.6, 0.0, 0.0, math.pi)),
+    ),
 }
 WIDE = "suction-wide"
 """The tool of both: the cup of 30 mm slips under what an arch thrusts, and its blocks end so far
@@ -233,21 +248,20 @@ def _watched(
         started: as of :func:`_together`.
         workcell: how they build; by default as planned.
     """
-    held = any(step.action == "hold" for step in plan.steps)
     cells: list[WatchedCell] = []
     planned: list[float] = []
 
     def opened(setup: Any) -> WatchedCell:
         planned.append(time.process_time() - started)
         cells.append(WatchedCell(setup))
-        if held:
+        if plan.by_turns:
             cells[-1].places = {piece.id: piece.pose for piece in members[0].job.pieces}
         return cells[-1]
 
     if not plan.complete:
         return plan, {"planning_s": round(time.process_time() - started, 2)}
-    carry = build_in_turn if held else build_together
-    at = workcell or Workcell(ARMS[0], hands=held)
+    carry = build_in_turn if plan.by_turns else build_together
+    at = workcell or Workcell(ARMS[0], hands=plan.by_turns)
     done = carry(plan, members, at, joint=joint, opened=opened)
     least = cells[0].least()
     return done, {

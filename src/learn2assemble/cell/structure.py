@@ -27,6 +27,9 @@ STEEP_JOINT = 0.9
 LOW_WAY, MORE_WAYS = 0.3, 2
 """Height of the directions from which a block may come, at least, and how many further ones are
 tried where blocks lean."""
+OPENING = 0.15
+"""A block that leans and comes beside others comes on a way that leads so far away from all of them
+for each length of it, if one does, the most upright one: straight down it slides along them."""
 
 
 class Structure:
@@ -219,15 +222,18 @@ def ways_in(faces: Contacts, block: int, standing: set[int]) -> tuple[Direction,
         return (DOWN,)
     normals, up = np.array(touched), np.array([0.0, 0.0, 1.0])
     best: list[np.ndarray] = []
+    least = min((float(normal[2]) for normal in carried), default=1.0)
     if carried:
         mean = np.sum(carried, axis=0)
         best = [mean / np.linalg.norm(mean), up]
-        if min(float(normal[2]) for normal in carried) > STEEP_JOINT:
+        if least > STEEP_JOINT:
             best.reverse()
         best = [way for way in best if way is up or (normals @ way).min() > -1e-6]
     # What nothing carries, as it is held, comes past what hangs over it.
     others = ways_out(normals)
     others = others[others[:, 2] > LOW_WAY]
     room = (others @ normals.T).min(1)
-    best += list(others[np.argsort(-room, kind="stable")[:MORE_WAYS]])
+    roomy = others[np.argsort(-room, kind="stable")[:MORE_WAYS]]
+    beside = (np.abs(normals[:, 2]) <= LEANING).any() and least < 1 - LEANING
+    best = [*others[room > OPENING][:1], *roomy, *best] if beside else [*best, *roomy]
     return tuple(direction_of(-way) for way in best)

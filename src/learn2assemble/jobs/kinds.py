@@ -353,7 +353,7 @@ def team_plan(
             plan = plan_by_team(assembly, members, posts=posts, options=options, progress=progress)
         if how.physics == PLANNED or not plan.complete:
             return plan
-        if any(step.action == "hold" for step in plan.steps):
+        if plan.by_turns:
             return build_in_turn(plan, members, cell, joint=joint, progress=progress)
         return build_together(plan, members, cell, joint=joint, progress=progress, order=order)
 

@@ -333,6 +333,10 @@ class Forward:
                             steps += [let_go(h, taken) for h in gone]
                             yield Transition(tuple(steps), after, last.gone)
                             break
+                    else:
+                        continue
+                    if not size:
+                        break  # However it came, nothing of it is held any more.
 
     def _could_hold(self, block: int, state: State, held: Sequence[int], size: int) -> bool:
         """Whether a block could come if its hand bore any load, with ``size`` of it and those that

@@ -1,14 +1,15 @@
 """The order of given blocks by the law of their joints: dry, or of bricks that clutch.
 
 Dry blocks are put down from below (:mod:`.forward`): without help first, then with hands as far as
-they are there, at last with posts. Of a few blocks the fewest posts are found; of many, a centring
-is tried before posts that are placed where nothing else helps. Bricks are taken apart
-(:mod:`.disassembly`). Both are one search (:mod:`.sequence`).
+they are there, then with posts, at last with both. Of a few blocks the fewest posts are found; of
+many, a centring is tried before posts that are placed where nothing else helps. Bricks are taken
+apart (:mod:`.disassembly`). Both are one search (:mod:`.sequence`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -47,6 +48,9 @@ GRIPS = (2, 8, ANY_GRIPS)
 """In how many ways a block is held by the same hand with the same blocks there, one after the
 other: what cannot come past one that holds comes past few others, and all ways of all of them are
 too many."""
+_IDLE = 40
+"""Moves of which none came farther, after which a search with hands is not the next thing to try:
+those that end well have 21 of these in our arches."""
 _NO_SUPPORTS = Supports()
 Progress = Callable[[str], None]
 
@@ -85,33 +89,16 @@ def find_sequence(
     problem: OrderProblem, supports: Supports, clock: Clock, progress: Progress = lambda text: None
 ) -> Sequenced:
     """Order, supports and proof for dry blocks that are given where they stand."""
-    # Where posts could stand takes longer to find than an order that needs none.
-    order = plain = _DryOrder(problem, supports, (), clock, progress)
+    plain = _DryOrder(problem, supports, (), clock, progress)
     end, last = plain.rules.end, plain.rules.laws[-1]
-    stands = plain.rules.law(end) is not None
-    found = plain.run()
-    for grips in GRIPS if stands and supports.holds else ():
-        if found.complete or clock.left <= 0:
+    order, found, stands = plain, plain.run(), plain.rules.law(end) is not None
+    more = _helped(problem, supports, plain, found) if stands else iter(())
+    while not found.complete and clock.left > 0:
+        other, steps = next(more, (plain, None))
+        if steps is None:
             break
-        plain.rules.allow((), supports.holds, grips)
-        found = max(found, plain.run(), key=plain.worth)
-    before = plain.after(found.steps)
-    for centring in (True, False) if stands and supports.posts else ():
-        posts = plain.posts(centring, before) if not found.complete and clock.left > 0 else ()
-        if not posts:
-            continue
-        helped = _DryOrder(problem, supports, posts, clock, progress)
-        if centring:
-            helped.rules.allow((), supports.holds)
-            helped.rules.begin_with_posts()
-        else:
-            helped.rules.learn(plain.rules, before)
-            helped.rules.allow(range(helped.count, len(helped.blocks)), supports.holds)
-        other = helped.run()
-        if not centring and supports.fewest:
-            other = helped.fewest(other)
-        if helped.worth(other) > order.worth(found):
-            order, found = helped, other
+        if other.worth(steps) > order.worth(found):
+            order, found = other, steps
     made = order.sequenced(found)
     if stands:
         return made
@@ -122,6 +109,63 @@ def find_sequence(
         reason = f"that the finished structure stands is not proven: {names} may move"
     status = "refused" if certain else "not found"
     return replace(made, status=status, reason=reason, stuck=tuple(moving))
+
+
+class _Help(NamedTuple):
+    """What an order is looked for with."""
+
+    posts: bool
+    holds: int
+    grips: int = ANY_GRIPS
+    idle: float = math.inf
+    """Given up after so many moves of which none came farther, and after half of the time."""
+
+
+def _helps(supports: Supports) -> Iterator[_Help]:
+    """What is tried, the least help first. What a search with hands that come past one another
+    does not find soon it looks for very long, so where posts may stand they come before that."""
+    posts, holds, (few, *more) = supports.posts, supports.holds, GRIPS
+    if holds:
+        yield _Help(False, holds, few, _IDLE if posts else math.inf)
+    if posts:
+        # Where these could stand takes longer to find than an order that needs none.
+        yield _Help(True, 0)
+    if holds:
+        yield from (_Help(False, holds, grips) for grips in (GRIPS if posts else more))
+    if holds and posts:
+        yield _Help(True, holds)
+
+
+def _helped(
+    problem: OrderProblem, supports: Supports, plain: _DryOrder, found: _Steps
+) -> Iterator[tuple[_DryOrder, _Steps]]:
+    """Orders with more and more help, each as far as it comes.
+
+    Args:
+        plain: the search without help.
+        found: the steps that it has found.
+    """
+    known = dict[bool, _DryOrder | None]()
+    for help_ in _helps(supports):
+        if not help_.posts:
+            plain.rules.allow((), help_.holds, help_.grips)
+            steps = plain.run(help_.idle)
+            found = max(found, steps, key=plain.worth)
+            yield plain, steps
+            continue
+        before = plain.after(found.steps)
+        for centring in (True, False):
+            if centring not in known:
+                known[centring] = plain.with_posts(problem, supports, centring, before)
+            helped = known[centring]
+            if helped is None:
+                continue
+            posts = () if centring else range(helped.count, len(helped.blocks))
+            helped.rules.allow(posts, help_.holds)
+            steps = helped.run()
+            if not centring and supports.fewest:
+                steps = helped.fewest(steps)
+            yield helped, steps
 
 
 def follow_steps(
@@ -198,9 +242,34 @@ class _DryOrder:
         found, carried = find_centring(given, self._contacts, ground)
         return found if 2 * missing[carried].sum() > missing.sum() else []
 
-    def run(self) -> _Steps:
-        """The first complete order that is found, or the longest one."""
-        found = depth_first(self.rules, self.clock, self.progress)
+    def with_posts(
+        self, problem: OrderProblem, supports: Supports, centring: bool, state: State
+    ) -> _DryOrder | None:
+        """The search with a centring, or with posts wherever they could stand; None without any.
+
+        Args:
+            state: how far it came without them.
+        """
+        posts = self.posts(centring, state)
+        if not posts:
+            return None
+        found = _DryOrder(problem, supports, posts, self.clock, self.progress)
+        if centring:
+            found.rules.begin_with_posts()
+        else:
+            found.rules.learn(self.rules, state)
+        return found
+
+    def run(self, idle: float = math.inf) -> _Steps:
+        """The first complete order that is found, or the longest one.
+
+        Args:
+            idle: it gives up after so many moves of which none came farther, and after half of the
+                time that is left.
+        """
+        last = idle == math.inf
+        clock = self.clock if last else Clock(self.clock.left / 2, self.clock.timer)
+        found = depth_first(self.rules, clock, self.progress, idle)
         steps = [step for move in (self.rules.first, *found.path) for step in move.steps]
         return _Steps(steps, () if found.complete else self.rules.stuck(found), found.complete)
 

@@ -313,6 +313,12 @@ class Plan:
         return self.records[0] if len(self.records) == 1 else None
 
     @property
+    def by_turns(self) -> bool:
+        """Whether two arms build it one after the other: one holds a block while the other one
+        brings the next, or somebody works between them by hand."""
+        return any(step.action == "hold" or step.by_hand for step in self.steps)
+
+    @property
     def complete(self) -> bool:
         """Whether the target is filled and every step holds."""
         return self.status == "complete"

@@ -10,6 +10,7 @@ counted work, with seconds as a cap.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Literal, NamedTuple, Protocol, TypeVar
@@ -163,14 +164,22 @@ class FoundOrder(NamedTuple, Generic[Move]):
 
 
 def depth_first(
-    rules: OrderRules[Move], clock: Clock, progress: Callable[[str], None] = lambda text: None
+    rules: OrderRules[Move],
+    clock: Clock,
+    progress: Callable[[str], None] = lambda text: None,
+    idle: float = math.inf,
 ) -> FoundOrder[Move]:
-    """The first order to the end, or the one that came farthest."""
+    """The first order to the end, or the one that came farthest.
+
+    Args:
+        idle: it gives up after so many moves of which none came farther.
+    """
     path: list[Move] = []
     best: list[Move] = []
     most = fewest = rules.left(rules.first)
-    queue, seen, tries = [rules.moves(rules.first)], set[Hashable](), 0
-    while any(fewest) and queue and clock.left > 0 and tries < rules.tries:
+    queue, seen = [rules.moves(rules.first)], set[Hashable]()
+    tries = farther = 0
+    while any(fewest) and queue and clock.left > 0 and tries < min(rules.tries, farther + idle):
         move = next(queue[-1], None)
         if move is None:
             queue.pop()
@@ -188,7 +197,7 @@ def depth_first(
         path.append(move)
         left = rules.left(move)
         if left < fewest:
-            best, fewest = list(path), left
+            best, fewest, farther = list(path), left, tries
             progress(Detail(f"{most[0] - left[0]} of {most[0]} blocks in order"))
         queue.append(rules.moves(move))
     return FoundOrder(best, best[-1] if best else rules.first, not any(fewest))
