@@ -33,14 +33,14 @@ from learn2assemble.export.robot_programs import (
     read_program,
     replay_program,
 )
-from learn2assemble.export.urscript import BLEND, ROUND, held_centre, planned_frame
+from learn2assemble.export.urscript import BLEND, ROUND, held_centre, planned_frame, write_urscript
 from learn2assemble.motion.driver import driver_of
 from learn2assemble.motion.files import write_record
 from learn2assemble.motion.knots import Knots, fit, slow_down, usage
-from learn2assemble.motion.program import Program, make_program
+from learn2assemble.motion.program import Program, Wait, make_program, motions
 from learn2assemble.motion.record import BuildRecord, find_fault
 from learn2assemble.motion.recorder import BuildRecorder, CellShapes, upright
-from learn2assemble.motion.settings import ToolOutput
+from learn2assemble.motion.settings import ProgramSettings, ToolOutput
 from learn2assemble.robot.arm import Arm, Limits, arm_model, get_arm
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.kinematics import forward, get_chain
@@ -399,6 +399,10 @@ ARITY = {
     "get_forward_kin": (1, set()),
     "get_inverse_kin": (2, set()),
     "get_actual_joint_positions": (0, set()),
+    "read_port_register": (1, set()),
+    "write_port_register": (2, set()),
+    "modbus_add_signal": (5, set()),
+    "modbus_set_output_register": (3, set()),
 }
 """Functions of URScript: arguments in their place, and those by name."""
 
@@ -466,7 +470,7 @@ class UrScript:
 
     def value(self) -> Any:
         left = self.term()
-        operators = ("<", ">", "<=", ">=", "==", "+", "-", "*", "and", "or")
+        operators = ("<", ">", "<=", ">=", "==", "!=", "+", "-", "*", "and", "or")
         while self.tokens and self.tokens[0] in operators:
             self.tokens.pop(0)
             left = (left, self.term())
@@ -652,6 +656,31 @@ def test_urscript_builds_the_same(suction_build: BuildRecord, tmp_path: Path) ->
     found = play(as_controller(script, make_program(suction_build, arm), arm), arm)
     assert found.same, found.fault
     assert found.error.max() <= 1e-3
+
+
+def test_urscript_waits_for_the_other_arm(suction_build: BuildRecord, tmp_path: Path) -> None:
+    """Before it moves on; what is over is said before that, also by steps that are left out."""
+    arm = get_arm("ur5e", "suction")
+    program = make_program(suction_build, arm)
+    (_, end), (begin, _) = list(motions(program))[:2]
+    first, second = float(program.knots.time[end]), float(program.knots.time[begin])
+    later = program.steps[0].end
+    waits = Wait(second, 3.0, 1), Wait(later, 9.0, 2)
+    two = dataclasses.replace(program, waits=waits, awaited=(first, later))
+    settings = ProgramSettings(other_arm="192.168.0.3")
+    write_urscript(two, arm, tmp_path / "two.script", settings)
+    text = (tmp_path / "two.script").read_text()
+    script = UrScript(text)
+    assert script.top["l2a_other_arm"] == '"192.168.0.3"'
+    body = text[text.index("  l2a_meet()\n") :]
+    words = re.findall(r"l2a_done\(\d\)|l2a_await\(\d\)", body)
+    assert words == ["l2a_done(1)", "l2a_await(1)", "l2a_done(2)", "l2a_done(2)", "l2a_await(2)"]
+    at = body.index("l2a_await(1)")
+    assert body[at:].split("\n")[1].strip().startswith(("movej", "l2a_", "set_payload"))
+    alone = export_program(suction_build, "urscript", tmp_path / "alone.script").file.read_text()
+    moves = [[line for line in one.splitlines() if "movej" in line] for one in (text, alone)]
+    assert moves[0] == moves[1]
+    assert "register" not in alone
 
 
 def payloads(script: str) -> list[tuple[float, list[float]]]:

@@ -33,6 +33,7 @@ from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.motion.attempts import merged
+from learn2assemble.motion.driver import arm_of
 from learn2assemble.motion.plant import (
     Guard,
     Motion,
@@ -42,12 +43,17 @@ from learn2assemble.motion.plant import (
     WrappedPlant,
     standing,
 )
+from learn2assemble.motion.program import Program, make_program
+from learn2assemble.motion.waits import APART as KEPT
+from learn2assemble.motion.waits import held_by, with_waits
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.bodies import Part
-from learn2assemble.robot.capsules import capsules_of, in_hand, solid_capsules
+from learn2assemble.robot.capsules import apart, capsules_of, in_hand, solid_capsules
+from learn2assemble.robot.capsules import placed as lines_at
+from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.sweeps import Sweep, clear, still, sweep
 from learn2assemble.simulation.model import Failure
@@ -429,6 +435,89 @@ def test_attempts_of_both_are_one_sequence(built: tuple[Path, dict[str, Any]]) -
     for a, b in pairwise(told):
         moved = np.flatnonzero(np.abs(a.step.after - b.step.before).max(1) > 1e-5)
         assert set(moved.tolist()) <= set(b.step.cells)
+
+
+def asynchronous(
+    programs: Sequence[Program], arms: Sequence[Arm], seed: int, waiting: bool = True
+) -> float:
+    """Plays two programs, each as fast as it likes for a while, and returns how near the arms have
+    come to each other with what they hold [m]."""
+    rng, clock, least = np.random.default_rng(seed), [0.0, 0.0], np.inf
+    speed = np.ones(2)
+    for tick in range(100_000):
+        if all(now >= one.seconds for now, one in zip(clock, programs, strict=True)):
+            return least
+        if tick % 50 == 0:
+            speed = np.exp(rng.uniform(-1.6, 1.1, 2))
+        before = list(clock)
+        for who, program in enumerate(programs):
+            ends = [program.seconds, clock[who] + 0.02 * speed[who]]
+            if waiting:
+                ends += [w.time for w in program.waits if w.other > before[1 - who] + 1e-9]
+            clock[who] = max(clock[who], min(ends))
+        if tick % 4 == 0:
+            bodies = [_body(*one) for one in zip(programs, arms, clock, strict=True)]
+            least = min(least, apart(*bodies[0], *bodies[1]))
+    raise AssertionError(f"both wait at {clock}")
+
+
+def _body(program: Program, arm: Arm, now: float) -> tuple[np.ndarray, np.ndarray]:
+    """Lines and radii of an arm and what it holds."""
+    capsules = capsules_of(arm)
+    for k, step in enumerate(program.steps):
+        if step.held is not None and step.held[0] < now < step.held[1]:
+            capsules = capsules.add(held_by(program, arm, k))
+    joints = np.ascontiguousarray(program.knots.at(np.array([now]))[0])
+    return lines_at(get_chain(arm), capsules, joints)[0], capsules.radius
+
+
+def test_programs_of_both_keep_apart_however_fast_each_is(
+    built: tuple[Path, dict[str, Any]],
+) -> None:
+    """Robots share no clock: what is kept of the order of the build is what each waits for."""
+    plan = Plan.load(built[0])
+    arms = [arm_of(record.arm) for record in plan.records]
+    made = [make_program(*one) for one in zip(plan.records, arms, strict=True)]
+    programs = with_waits((made[0], made[1]), (arms[0], arms[1]))
+    for one, other in (programs, programs[::-1]):
+        assert [wait.other for wait in one.waits] == [*other.awaited]
+        assert [wait.number for wait in one.waits] == [*range(1, len(one.waits) + 1)]
+        assert all(a.time <= b.time and a.other < b.other for a, b in pairwise(one.waits))
+        for wait in one.waits:  # Where it stands.
+            assert not one.knots.at(np.array([wait.time]))[1].round(3).any()
+    assert 0 < sum(len(one.waits) for one in programs) <= 2 * len(plan.steps)
+    assert min(asynchronous(programs, arms, seed) for seed in range(8)) > KEPT
+    assert min(asynchronous(programs, arms, seed, waiting=False) for seed in range(4)) < 0.0
+    # Whichever of both is named first.
+    turned = with_waits((made[1], made[0]), (arms[1], arms[0]))
+    assert [(one.waits, one.awaited) for one in turned[::-1]] == [
+        (one.waits, one.awaited) for one in programs
+    ]
+
+
+def test_each_arm_gets_a_program_that_says_what_it_waits_for(
+    built: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    folder, told = built[0], list[dict[str, Any]]()
+    for number in (1, 2):
+        file = l2a.export_program(folder / f"trajectory-{number}.json", "csv", tmp_path / "t.csv")
+        head = [line[2:] for line in file.file.read_text().splitlines() if line[0] == "#"]
+        told.append({key: json.loads(rest) for key, _, rest in (x.partition(": ") for x in head)})
+        file.file.unlink()
+    for one, other in (told, told[::-1]):
+        assert [wait["other"] for wait in one["waits"]] == other["awaited"]
+    script = l2a.export_program(folder / "trajectory-1.json", "urscript", tmp_path).file.read_text()
+    calls = re.findall(r"^ +l2a_(done|await)\((\d+)\)$", script, re.MULTILINE)
+    done = [int(number) for what, number in calls if what == "done"]
+    assert done == sorted(done)
+    assert {*done} == {*range(1, len(told[0]["awaited"]) + 1)}
+    waits = [int(number) for what, number in calls if what == "await" and number != "0"]
+    assert waits == [*range(1, len(told[0]["waits"]) + 1)]
+    one, other = Plan.load(folder).records
+    again = l2a.export_program((one, other), "urscript", tmp_path / "again.script")
+    assert again.file.read_text() == script
+    with pytest.raises(InputError, match=r"trajectory-N\.json of one of them"):
+        l2a.export_program(folder, "urscript", tmp_path / "both.script")
 
 
 def test_the_page_shows_both(built: tuple[Path, dict[str, Any]]) -> None:

@@ -1,21 +1,53 @@
-"""What two arms that build together tell each other, and what one takes to be so meanwhile."""
+"""What two arms that build together ask of the cell they share, what they tell each other, and what
+one takes to be so meanwhile."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence, Set
+from collections.abc import Callable, Sequence, Set
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from learn2assemble.cell.building import Building
 from learn2assemble.cell.traffic import Leg, Route
 from learn2assemble.cell.world import STANDING, STOCK
+from learn2assemble.motion.plant import Plant, Readings
 from learn2assemble.robot.capsules import WIDEST, capsules_of, in_hand, solid_capsules
 from learn2assemble.robot.sweeps import still, sweep
 from learn2assemble.simulation.execution import Execution
 from learn2assemble.simulation.model import Order, part_of
+
+
+class Turns(Protocol):
+    """Lets work of several arms run side by side on one clock."""
+
+    def run(self, jobs: Sequence[Callable[[], None]]) -> Any:
+        """Until all of them are done."""
+        ...
+
+
+class SharedCell(Protocol):
+    """Plants of several arms in one world."""
+
+    @property
+    def plants(self) -> Sequence[Plant]:
+        """One of each arm."""
+        ...
+
+    @property
+    def clock(self) -> Turns:
+        """The time they share."""
+        ...
+
+    def loosen(self) -> None:
+        """Of a simulation: from now on everything may move, not only what an arm comes near."""
+        ...
+
+    def sense(self) -> Readings:
+        """What is sensed now, with the first arm."""
+        ...
 
 
 class Assumed(NamedTuple):

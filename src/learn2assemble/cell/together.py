@@ -21,10 +21,9 @@ from learn2assemble.cell.carry_out import key_of, setup_of
 from learn2assemble.cell.crew import Member
 from learn2assemble.cell.pair import Pair, gather
 from learn2assemble.cell.report import Attempted, Witness, Worked, carried_out, words_of
-from learn2assemble.cell.shared_cell import SharedCell
 from learn2assemble.cell.shared_journal import SharedJournal, Turn, take_up
 from learn2assemble.cell.state import Action
-from learn2assemble.cell.telling import Assumed, assume, forget, route_of, tell
+from learn2assemble.cell.telling import Assumed, SharedCell, assume, forget, route_of, tell
 from learn2assemble.cell.traffic import ArmInTraffic, Route, Traffic
 from learn2assemble.cell.workcell import Progress, StepOf, Workcell
 from learn2assemble.cell.world import STANDING, STOCK, rows_of

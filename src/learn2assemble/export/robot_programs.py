@@ -28,6 +28,7 @@ from learn2assemble.motion.places import PickPlace
 from learn2assemble.motion.program import Program, make_program
 from learn2assemble.motion.record import BuildRecord
 from learn2assemble.motion.settings import SLOWEST_SHARE, ProgramSettings, read_settings
+from learn2assemble.motion.waits import with_waits
 from learn2assemble.registry import Registry
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.registry import ARMS
@@ -83,7 +84,7 @@ class Exported(NamedTuple):
 
 
 def export_program(
-    source: BuildRecord | str | Path,
+    source: BuildRecord | tuple[BuildRecord, BuildRecord] | str | Path,
     format: str,
     path: str | Path,
     *,
@@ -97,7 +98,10 @@ def export_program(
 
     Args:
         source: what ``l2a build --arm`` has written: its folder or its ``trajectory.json``; or
-            the record of a plan, ``plan.record``.
+            the record of a plan, ``plan.record``. Of a build by two arms: the
+            ``trajectory-N.json`` of one of them, beside that of the other one; or both of
+            ``plan.records``, that of this arm first. The program then waits for that of the other
+            arm where it has to.
         format: ``csv``, ``franka``, ``ros2`` or ``urscript``.
         path: a new file, or a folder that gets a file of the usual name; a table whose name ends
             in ``.gz`` is packed.
@@ -144,12 +148,14 @@ def export_program(
             settings = replace(settings, speed_factor=float(speed))
         check_name("refill", refill or "hand", REFILL)
         options = {"settings": settings, "resume_from": resume_from, "refill": refill or "hand"}
-    if isinstance(source, str | Path):
-        source = _read_record(Path(source))
-    if not isinstance(source, BuildRecord):  # pyright: ignore[reportUnnecessaryIsInstance]
+    records = _records_of(source)
+    if not all(isinstance(one, BuildRecord) for one in records) or len(records) not in (1, 2):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InputError("source", source, "a BuildRecord (of a plan its .record), or a folder")
-    arm = arm_of(source.arm)
-    program = make_program(source, arm)
+    arms = [arm_of(record.arm) for record in records]
+    made = [make_program(*one) for one in zip(records, arms, strict=True)]
+    program, arm = made[0], arms[0]
+    if len(made) == 2:
+        program, _ = with_waits((made[0], made[1]), (arms[0], arms[1]))
     write(program, arm, file, **options)
     used = usage(program.knots, arm.bounds)
     told = options.get("settings")
@@ -158,13 +164,28 @@ def export_program(
     return Exported(file, program.seconds, program.stretch, used, program.places, share, rows)
 
 
+def _records_of(
+    source: BuildRecord | tuple[BuildRecord, ...] | str | Path,
+) -> tuple[BuildRecord, ...]:
+    """The record of an arm, and that of the other arm, if two have built."""
+    if not isinstance(source, str | Path):
+        return source if isinstance(source, tuple) else (source,)
+    path = Path(source)
+    record = _read_record(path)
+    if found := re.fullmatch(r"trajectory-([12])\.json", path.name):
+        across = path.with_name(f"trajectory-{3 - int(found[1])}.json")
+        if across.is_file():
+            return record, read_record(across)
+    return (record,)
+
+
 def _read_record(path: Path) -> BuildRecord:
     check_exists(path, "folder of a build with an arm (l2a build --arm), or its trajectory.json")
     file = path / "trajectory.json" if path.is_dir() else path
     if file.name == "plan.json":
         file = file.with_name("trajectory.json")
     if not file.is_file() and file.with_name("trajectory-1.json").is_file():
-        expected = "the trajectory-N.json of one of them: its program waits for no other arm"
+        expected = "the trajectory-N.json of one of them: each arm has a program of its own"
         raise InputError("PLAN", f"{path}, a build by several arms", expected)
     if not file.is_file():
         expected = "the folder of a build with an arm (l2a build --arm), or its trajectory.json"

@@ -13,7 +13,6 @@ import json
 import re
 from collections.abc import Iterator
 from contextlib import nullcontext
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -89,6 +88,7 @@ def header(program: Program, arm: Arm) -> dict[str, Any]:
             **({"names": blocks.names, "kinds": blocks.kinds} if blocks.names else {}),
         },
         "places": places_data(program, arm),
+        **(_waits(program) if program.of_two else {}),
         "hands": [hand._asdict() for hand in program.hands],
         "steps": [
             {
@@ -102,6 +102,15 @@ def header(program: Program, arm: Arm) -> dict[str, Any]:
             for step in program.steps
         ],
     }
+
+
+def _waits(program: Program) -> dict[str, Any]:
+    """What two arms wait for."""
+    waits = [
+        {"time": round(one.time, 6), "other": round(one.other, 6), "number": one.number}
+        for one in program.waits
+    ]
+    return {"waits": waits, "awaited": [round(time, 6) for time in program.awaited]}
 
 
 def to_json(value: Any) -> str:
@@ -234,14 +243,6 @@ def _array(value: Any, *shape: int) -> np.ndarray:
     if not np.isfinite(array).all():
         raise ValueError("a number that is not finite")
     return array
-
-
-def motions(program: Program) -> Iterator[tuple[int, int]]:
-    """First and last knot of every motion from rest to rest."""
-    moving = np.concatenate([[0], program.motion, [0]])
-    for begin, end in pairwise(np.flatnonzero(np.diff(moving)).tolist()):
-        if program.motion[begin]:
-            yield begin, end
 
 
 def changes(program: Program) -> Iterator[tuple[ToolState, set[str]]]:

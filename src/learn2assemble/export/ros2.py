@@ -23,7 +23,6 @@ from learn2assemble.export.robot_tables import (
     MOST_BYTES,
     changes,
     header,
-    motions,
     read_header,
     to_json,
 )
@@ -37,7 +36,7 @@ from learn2assemble.geometry.rotations import (
 )
 from learn2assemble.motion.driver import driver_of
 from learn2assemble.motion.knots import Knots, usage
-from learn2assemble.motion.program import Program, ToolState
+from learn2assemble.motion.program import Program, ToolState, motions
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import forward_many, get_chain
 from learn2assemble.robot.moves import STAGES

@@ -16,11 +16,11 @@ from numpy.linalg import norm
 from learn2assemble.errors import InputError
 from learn2assemble.export import asset
 from learn2assemble.export.place_words import plain, preparation, size_words, world_in_base
-from learn2assemble.export.robot_tables import changes, motions
+from learn2assemble.export.robot_tables import changes
 from learn2assemble.files import write_file
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.driver import driver_of
-from learn2assemble.motion.program import Program, ProgramStep
+from learn2assemble.motion.program import Program, ProgramStep, motions
 from learn2assemble.motion.settings import ProgramSettings
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import forward_many, get_chain
@@ -36,6 +36,41 @@ SLOWEST = 0.02
 """No part of a path is moved along slower [rad/s], as some parts are hardly moved along at all."""
 MOST_SHIFT, MOST_TURN = 0.1, 0.2
 """A taught work plane is no farther from the planned one [m], [rad]: the path was checked there."""
+
+
+_OTHER_ARM = """\
+  # address of the controller of the other arm, if that is a UR; else "", and whoever drives the
+  # other arm reads register 128 of this controller by Modbus (port 502) and writes register 129
+  global l2a_other_arm = "{host}"
+  global l2a_over = 0
+"""
+_MEET = """\
+  # What the other arm waits for and is over is counted in register 128 here and 129 there, from 1,
+  # which says that the program has begun.
+  def l2a_done(number):
+    l2a_over = number
+    write_port_register(128, number + 1)
+    if (l2a_other_arm != ""):
+      modbus_set_output_register("l2a_other_arm", number + 1, False)
+    end
+  end
+  # The arm stands until so much of the other program is over.
+  def l2a_await(number):
+    while (read_port_register(129) <= number):
+      l2a_done(l2a_over)
+      sleep(0.02)
+    end
+  end
+  # Both programs are started anew, in any order; neither moves before both have begun.
+  def l2a_meet():
+    write_port_register(129, 0)
+    if (l2a_other_arm != ""):
+      modbus_add_signal(l2a_other_arm, 255, 129, 3, "l2a_other_arm")
+    end
+    l2a_await(0)
+  end
+"""
+"""Added to the programs of two arms; registers 128 to 255 are free in the controllers of UR."""
 
 
 def write_urscript(
@@ -75,7 +110,7 @@ def write_urscript(
         raise InputError("format", f"urscript for {arm.name}", "the arm ur5e")
     text = _head(program, arm, settings or ProgramSettings(), resume_from, refill)
     asks = list(_asks(program, arm))
-    told = sorted(_told(program, arm, asks), key=lambda one: one.time)
+    told = sorted(_told(program, arm, asks), key=lambda one: (one.time, one.rank))
     halts = [time for step in program.steps for time in step.checks]
     halts += [ask.time for ask in asks if ask.time is not None]
     lines: list[str] = []
@@ -129,6 +164,9 @@ def _head(
         mass=f"{driver.tool_mass:.4f}",
         centre=_list(driver.tool_centre),
         tcp=_list(_pose(driver.tcp)),
+        other_arm=_OTHER_ARM.format(host=settings.other_arm) if program.of_two else "",
+        meet=_MEET if program.of_two else "",
+        begin="  l2a_meet()\n" if program.of_two else "",
     )
 
 
@@ -163,6 +201,8 @@ class _Line(NamedTuple):
     time: float
     """When it begins in the program [s]."""
     text: str
+    rank: int = 1
+    """Of those of one time: what is over is told first, and the tool is told something last."""
 
 
 def _lines(program: Program, arm: Arm, begin: int, end: int, halts: list[float]) -> Iterator[_Line]:
@@ -225,6 +265,7 @@ def _told(program: Program, arm: Arm, asks: list[_Ask]) -> Iterator[_Line]:
             "end\n" * bool(k)
             + (
                 f"# step {_step_words(program, step)}\n"
+                f"{_told_before(program, begin)}"
                 f"if (l2a_resume_from <= {step.number}):\n"
                 f"{_pauses(program, k)}{''.join(told)}"
                 f"l2a_start({step.number}, [{_list(first)}], {state.width:.4f}, {state.speed:.3f})"
@@ -238,18 +279,20 @@ def _told(program: Program, arm: Arm, asks: list[_Ask]) -> Iterator[_Line]:
     left = [ask.call for ask in asks if ask.after == len(program.steps) and ask.time is None]
     if last or left:
         yield _Line(begin, last + "\n".join(left))
+    yield from (_Line(time, f"l2a_done({k})", 0) for k, time in enumerate(program.awaited, 1))
+    yield from (_Line(one.time, f"l2a_await({one.number})", 2) for one in program.waits)
     (first, _), *later = changes(program)
     was_closed = bool(first.force) or first.vacuum
     for state, new in later:
         if "load" in new:
-            yield _Line(state.time, _payload(program, arm, state.time, state.load))
+            yield _Line(state.time, _payload(program, arm, state.time, state.load), 3)
         if "press" in new and state.press:
-            yield _Line(state.time, f"l2a_press({state.press:.1f})")
+            yield _Line(state.time, f"l2a_press({state.press:.1f})", 3)
         closed = bool(state.force) or state.vacuum
         if closed != was_closed:
             numbers = f"{state.width:.4f}, {state.speed:.3f}"
             call = f"close({numbers}, {state.force:.1f})" if closed else f"open({numbers})"
-            yield _Line(state.time, f"l2a_{call}")
+            yield _Line(state.time, f"l2a_{call}", 3)
         was_closed = closed
 
 
@@ -272,6 +315,12 @@ def _step_words(program: Program, step: ProgramStep) -> str:
     said += "" if step.turn is None else f", turn {np.round(np.degrees(step.turn), 1) + 0.0:.1f}"
     said += " (world)"
     return plain(said + " (failed in the build)" * (not step.reached))
+
+
+def _told_before(program: Program, begin: float) -> str:
+    """A line that tells the other arm what is over before a step, also where it is left out."""
+    over = sum(time <= begin + 1e-9 for time in program.awaited)
+    return f"l2a_done({over})\n" * bool(over)
 
 
 class _Ask(NamedTuple):

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -92,6 +93,19 @@ class ProgramStep(NamedTuple):
     turn: float | None = None
     """Direction of the long side of its block where it shall stand, as the turn of a place [rad];
     None: not told by a program that was read from a file."""
+    before: np.ndarray | None = None
+    """float64[m, 7]: poses of its cells before the step; None: not told, as the turn."""
+
+
+class Wait(NamedTuple):
+    """For the other arm of a build by two."""
+
+    time: float
+    """The robot goes on from here [s] ..."""
+    other: float
+    """... when the other one's program has come so far [s, of that program]."""
+    number: int
+    """1, 2, ...: of :attr:`Program.awaited` of that program."""
 
 
 class Supply(NamedTuple):
@@ -187,16 +201,35 @@ class Program:
     """What is done by hand between the steps, while the robot waits."""
     places: tuple[PickPlace, ...] = ()
     """Where its blocks are taken from; not told by a program that was read from a file."""
+    recorded: np.ndarray | None = None
+    """float64[k]: when the build was where a knot is [s]; not told, as the places."""
+    waits: tuple[Wait, ...] = ()
+    """For the other arm, of a build by two, in the order of their times."""
+    awaited: tuple[float, ...] = ()
+    """Times for which the other arm waits [s], in their order."""
 
     @property
     def seconds(self) -> float:
         """[s]"""
         return float(self.knots.time[-1])
 
+    @property
+    def of_two(self) -> bool:
+        """Whether another arm builds with it, and one waits for the other."""
+        return bool(self.waits or self.awaited)
+
     def states_at(self, time: np.ndarray) -> np.ndarray:
         """int64[m]: indices of the tool's states at times float64[m] [s]."""
         begins = np.array([state.time for state in self.states])
         return np.clip(np.searchsorted(begins, time + 1e-9, "right") - 1, 0, None)
+
+
+def motions(program: Program) -> Iterator[tuple[int, int]]:
+    """First and last knot of every motion from rest to rest."""
+    moving = np.concatenate([[0], program.motion, [0]])
+    for begin, end in pairwise(np.flatnonzero(np.diff(moving)).tolist()):
+        if program.motion[begin]:
+            yield begin, end
 
 
 def make_program(record: BuildRecord, arm: Arm) -> Program:
@@ -269,6 +302,7 @@ def make_program(record: BuildRecord, arm: Arm) -> Program:
         ),
         stretch,
         record.hands,
+        recorded=samples.time,
     )
     return _as_planned(_with_tool(program, record, arm, samples), record)
 
@@ -437,6 +471,7 @@ def _with_tool(program: Program, record: BuildRecord, arm: Arm, samples: Samples
                 tuple(float(time[k]) for k in checks),
                 held,
                 step.after,
+                before=step.before[list(step.cells)],
             )
         )
     return replace(

@@ -6,12 +6,13 @@ The section ``program`` of a layout file (``docs/layouts.md``); what it leaves o
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from learn2assemble.errors import InputError, look_up
+from learn2assemble.errors import InputError, look_up, printable
 from learn2assemble.files import read_text
 from learn2assemble.values import (
     boolean,
@@ -40,7 +41,7 @@ FIRST_RUN = 0.25
 SLOWEST_SHARE = 0.001
 FARTHEST_FRAME = 10.0
 """A base frame is no farther away along an axis [m]."""
-_KEYS = ("speed_factor", "output", "input", "dwell", "start_tolerance", "base_frame")
+_KEYS = ("speed_factor", "output", "input", "dwell", "start_tolerance", "base_frame", "other_arm")
 
 
 class ToolOutput(NamedTuple):
@@ -82,6 +83,9 @@ class ProgramSettings:
     base_frame: tuple[float, ...] | None = None
     """Pose of the plan's world frame in the base frame of the controller, as taught: x, y, z [m]
     and a rotation vector [rad]; None: where the plan has it."""
+    other_arm: str = ""
+    """Of a build by two: address of the controller of the other arm, a UR; empty: of another make,
+    or not told yet."""
 
 
 def read_settings(path: str | Path) -> ProgramSettings:
@@ -120,7 +124,15 @@ def parse_settings(value: Any, where: str) -> ProgramSettings:
         _between(given, "dwell", default.dwell, 0.0, LONGEST_DWELL, where),
         _between(given, "start_tolerance", default.start_tolerance, 1e-4, WIDEST_START, where),
         None if frame is None else _frame(frame, f"{where}.base_frame"),
+        _host(given.get("other_arm", ""), f"{where}.other_arm"),
     )
+
+
+def _host(value: Any, where: str) -> str:
+    found = text(value, where)
+    if not re.fullmatch(r"[A-Za-z0-9.-]{0,253}", found):
+        raise InputError(where, printable(found), "an IP address or the name of a host")
+    return found
 
 
 def _output(value: Any, where: str) -> ToolOutput:

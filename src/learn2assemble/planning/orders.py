@@ -111,7 +111,7 @@ def find_sequence(
     return replace(made, status=status, reason=reason, stuck=tuple(moving))
 
 
-class _Help(NamedTuple):
+class _Aid(NamedTuple):
     """What an order is looked for with."""
 
     posts: bool
@@ -121,19 +121,19 @@ class _Help(NamedTuple):
     """Given up after so many moves of which none came farther, and after half of the time."""
 
 
-def _helps(supports: Supports) -> Iterator[_Help]:
+def _aids(supports: Supports) -> Iterator[_Aid]:
     """What is tried, the least help first. What a search with hands that come past one another
     does not find soon it looks for very long, so where posts may stand they come before that."""
     posts, holds, (few, *more) = supports.posts, supports.holds, GRIPS
     if holds:
-        yield _Help(False, holds, few, _IDLE if posts else math.inf)
+        yield _Aid(False, holds, few, _IDLE if posts else math.inf)
     if posts:
         # Where these could stand takes longer to find than an order that needs none.
-        yield _Help(True, 0)
+        yield _Aid(True, 0)
     if holds:
-        yield from (_Help(False, holds, grips) for grips in (GRIPS if posts else more))
+        yield from (_Aid(False, holds, grips) for grips in (GRIPS if posts else more))
     if holds and posts:
-        yield _Help(True, holds)
+        yield _Aid(True, holds)
 
 
 def _helped(
@@ -146,10 +146,10 @@ def _helped(
         found: the steps that it has found.
     """
     known = dict[bool, _DryOrder | None]()
-    for help_ in _helps(supports):
-        if not help_.posts:
-            plain.rules.allow((), help_.holds, help_.grips)
-            steps = plain.run(help_.idle)
+    for aid in _aids(supports):
+        if not aid.posts:
+            plain.rules.allow((), aid.holds, aid.grips)
+            steps = plain.run(aid.idle)
             found = max(found, steps, key=plain.worth)
             yield plain, steps
             continue
@@ -161,7 +161,7 @@ def _helped(
             if helped is None:
                 continue
             posts = () if centring else range(helped.count, len(helped.blocks))
-            helped.rules.allow(posts, help_.holds)
+            helped.rules.allow(posts, aid.holds)
             steps = helped.run()
             if not centring and supports.fewest:
                 steps = helped.fewest(steps)

@@ -1,0 +1,173 @@
+"""Which motions in the program of one arm wait for which in that of the other one.
+
+Two arms have built at the same time, on one clock that robots do not share. What has to be kept of
+their order is a graph between their motions (an action dependency graph, Hönig et al. 2019): a
+motion waits for those of the other arm that began before it where both would come nearer to each
+other than the arms keep, whatever each is doing of its way when; and what touches the structure
+waits for all that the other arm had changed in it by then. Whatever else each does when it may, so
+one that is late, or stopped, leaves the other one safe. Nothing waits for what began after it, so
+one of them can always go on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.motion.program import Program, Wait, motions
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.bodies import Part
+from learn2assemble.robot.capsules import Capsules, capsules_of, in_hand, solid_capsules
+from learn2assemble.robot.kinematics import forward_many, get_chain
+from learn2assemble.robot.moves import STAGES
+from learn2assemble.robot.sweeps import Sweep, clear, sweep
+
+APART = 0.012
+"""So far arms keep from each other [m]: where both move at once they were planned to by more."""
+EVERY = 5
+"""Of the knots of a motion so many are taken together: the arm is within half a millimetre of the
+straight line between two that are left."""
+AT_THE_STRUCTURE = ("cross", "place")
+"""Stages in which a block comes to what stands there."""
+TAKING = ("pick", "lift")
+"""Stages in which a block leaves what stands there, where it stood there."""
+
+
+class _Span(NamedTuple):
+    """A motion from rest to rest, or what a tool does between two of them."""
+
+    began: float
+    """[s], on the clock that both had."""
+    ended: float
+    """[s], the same."""
+    begin: float
+    """[s], in its program."""
+    end: float
+    """[s], in its program: of a tool, when the arm moves on."""
+    needs: bool
+    """Whether it touches the structure."""
+    changes: bool
+    """Whether the structure is another one afterwards."""
+    swept: Sweep | None = None
+    """Of a motion, with what is held."""
+
+
+def with_waits(programs: tuple[Program, Program], arms: tuple[Arm, Arm]) -> tuple[Program, Program]:
+    """Two programs of one build, with what each waits for.
+
+    Args:
+        programs: of two arms that have built together.
+        arms: where they stood.
+    """
+    parts = tuple(list(_parts(*one)) for one in zip(programs, arms, strict=True))
+    one, other = (tuple(arm.base_position.tolist()) for arm in arms)
+    first = tuple(_waits(parts[0], parts[1], before=one < other))
+    second = tuple(_waits(parts[1], parts[0], before=one >= other))
+    return (
+        replace(programs[0], waits=first, awaited=tuple(wait.other for wait in second)),
+        replace(programs[1], waits=second, awaited=tuple(wait.other for wait in first)),
+    )
+
+
+def _waits(mine: list[_Span], others: list[_Span], before: bool) -> Iterator[Wait]:
+    """What the parts of one program wait for, each more than those before it.
+
+    Args:
+        before: of two parts that began at once, whether those of ``others`` count as later.
+    """
+    waited = number = 0
+    for part in mine:
+        began = [
+            n
+            for n, other in enumerate(others[waited:], waited)
+            if other.began < part.began
+            or (other.began == part.began and (not before or _is_tool(other) > _is_tool(part)))
+        ]
+        found = waited
+        for n in reversed(began):
+            changed = part.needs and others[n].changes and others[n].ended <= part.began
+            if changed or _meets(part, others[n]):
+                found = n + 1
+                break
+        if found > waited:
+            waited, number = found, number + 1
+            yield Wait(part.begin, others[found - 1].end, number)
+
+
+def _is_tool(part: _Span) -> bool:
+    return part.swept is None
+
+
+def _meets(one: _Span, other: _Span) -> bool:
+    if one.swept is None or other.swept is None:
+        return False
+    return not clear(one.swept, other.swept, APART)
+
+
+def _parts(program: Program, arm: Arm) -> Iterator[_Span]:
+    """The motions of a program and what its tool does, in order."""
+    assert program.recorded is not None
+    time, clock = program.knots.time, program.recorded
+    made = list[_Span]()
+    begins = list(motions(program))
+    own = capsules_of(arm)
+    held = {k: own.add(held_by(program, arm, k)) for k, s in enumerate(program.steps) if s.held}
+    for a, b in begins:
+        k = _step_at(program, (time[a] + time[b]) / 2)
+        step, stage = program.steps[k], STAGES[int(program.stage[a])]
+        holds = step.held is not None and step.held[0] < (time[a] + time[b]) / 2 < step.held[1]
+        joints = program.knots.position[a : b + 1]
+        joints = np.vstack([joints[:-1:EVERY], joints[-1:]])
+        taken = step.pick is None and stage in TAKING
+        made.append(
+            _Span(
+                float(clock[a]),
+                float(clock[b]),
+                float(time[a]),
+                float(time[b]),
+                taken or stage in AT_THE_STRUCTURE,
+                (taken and holds) or stage == "place",
+                sweep(arm, held[k] if holds else own, np.ascontiguousarray(joints)),
+            )
+        )
+    ends = [float(time[a]) for a, _ in begins] + [float(time[-1])]
+    was_closed = False
+    for state in program.states:
+        closed = bool(state.force) or state.vacuum
+        if closed != was_closed:
+            step = program.steps[_step_at(program, state.time)]
+            when = float(np.interp(state.time, time, clock))
+            on = next(end for end in ends if end >= state.time - 1e-9)
+            touches = not closed or step.pick is None
+            made.append(_Span(when, when, state.time, on, touches, touches))
+        was_closed = closed
+    return iter(sorted(made, key=lambda part: part.begin))
+
+
+def _step_at(program: Program, time: float) -> int:
+    """Index of the step to which a time belongs [s]."""
+    ends = [step.end for step in program.steps]
+    return min(int(np.searchsorted(ends, time - 1e-9)), len(ends) - 1)
+
+
+def held_by(program: Program, arm: Arm, index: int) -> Capsules:
+    """Capsules around what a step holds, as its hand has it."""
+    step, blocks = program.steps[index], program.blocks
+    assert step.held is not None
+    assert step.before is not None
+    q = np.ascontiguousarray(program.knots.at(np.array([step.held[0]]))[0])
+    (point,), (turn,) = forward_many(get_chain(arm), q)
+    found: Capsules | None = None
+    for cell, pose in zip(step.cells, step.before, strict=True):
+        hull = None if blocks.hull is None else blocks.hull[cell]
+        x, y, z = blocks.halves[cell].tolist()
+        part = Part((0.0, 0.0, 0.0), (x, y, z), hull)
+        axes = turn.T @ quaternion_matrix(pose[3:])
+        block = in_hand(arm, solid_capsules([part], turn.T @ (pose[:3] - point), axes))
+        found = block if found is None else found.add(block)
+    assert found is not None
+    return found
