@@ -781,6 +781,7 @@ def test_what_a_layout_says_stands_at_the_top_of_the_program(tmp_path: Path) -> 
     [
         ({"speed_factor": 0}, "program.speed_factor: got 0"),
         ({"speed_factor": 1.01}, "speed_factor"),
+        ({"other_arm": "http://x"}, "other_arm: got 'http"),
         ({"dwell": -1}, "0 to 10"),
         ({"output": {"number": 2}}, "output.number"),
         ({"output": {"bank": "tol"}}, "'tool'"),

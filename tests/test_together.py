@@ -516,6 +516,12 @@ def test_each_arm_gets_a_program_that_says_what_it_waits_for(
     one, other = Plan.load(folder).records
     again = l2a.export_program((one, other), "urscript", tmp_path / "again.script")
     assert again.file.read_text() == script
+    assert again.waits == len(told[0]["waits"])
+    assert f"has come so far, {again.waits} times;" in script
+    alone = tmp_path / "trajectory-1.json"
+    alone.write_bytes((folder / alone.name).read_bytes())
+    with pytest.raises(InputError, match="record of the other arm, for which this one has to wait"):
+        l2a.export_program(alone, "csv", tmp_path / "alone.csv")
     with pytest.raises(InputError, match=r"trajectory-N\.json of one of them"):
         l2a.export_program(folder, "urscript", tmp_path / "both.script")
 

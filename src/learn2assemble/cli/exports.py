@@ -72,6 +72,7 @@ def _export(options: argparse.Namespace, output: Output) -> None:
 
 
 def _export_program(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.assembly.instruction_words import count_words
     from learn2assemble.export.place_words import PLACE_HEAD
     from learn2assemble.export.robot_programs import WHERE, export_program
 
@@ -97,6 +98,8 @@ def _export_program(options: argparse.Namespace, output: Output) -> None:
             f"{done.seconds / done.speed:.0f} s; --speed says another share"
         )
     output.say(f"where blocks, base and arm have to be: {WHERE[options.format]}")
+    if done.waits is not None:
+        output.say(f"waits for the other arm {count_words(done.waits, 'time')}: export both")
     output.finish(
         {
             "format": options.format,
@@ -105,6 +108,7 @@ def _export_program(options: argparse.Namespace, output: Output) -> None:
             "stretch": round(done.stretch, 6),
             "used": {name: round(share, 6) for name, share in done.used.items()},
             "speed": done.speed,
+            "waits": done.waits,
             "places": [dict(zip(_PLACE_KEYS, row, strict=True)) for row in done.rows],
         }
     )

@@ -163,6 +163,7 @@ def preparation(
         ("Order", _order(program)),
         ("Start", _start(program, settings, resume)),
         ("Speed", _speed(program, settings)),
+        *((("The other arm", _other_arm(program, settings)),) * program.of_two),
     )
     for title, words in sections:
         lines += ["", f"{title}:", *(f"  {line}" for line in words)]
@@ -303,6 +304,17 @@ def _start(program: Program, settings: ProgramSettings, resume: int) -> list[str
         "  it is not so, else moves slowly to the exact position and opens the tool.",
         "after each lift and above each place l2a_check looks whether the block is held, and",
         "  halts where it is not.",
+    ]
+
+
+def _other_arm(program: Program, settings: ProgramSettings) -> list[str]:
+    told = settings.other_arm or "not told yet, or of another make: l2a_other_arm below"
+    return [
+        "it builds at the same time and has a program of its own, which waits for this one, too.",
+        f"its controller: {told}.",
+        f"before a motion l2a_await stands until the other program has come so far, "
+        f"{len(program.waits)} times;",
+        "  l2a_done tells the other arm what is over. Start both anew when one was stopped.",
     ]
 
 

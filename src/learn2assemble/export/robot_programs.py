@@ -81,6 +81,8 @@ class Exported(NamedTuple):
     """Share of the planned speed at which the program begins; ``seconds`` are of all of it."""
     rows: tuple[tuple[str, ...], ...] = ()
     """The places as a table, below :data:`~.place_words.PLACE_HEAD`."""
+    waits: int | None = None
+    """How often it waits for the other arm; None: it is alone."""
 
 
 def export_program(
@@ -161,7 +163,8 @@ def export_program(
     told = options.get("settings")
     share = 1.0 if told is None else told.speed_factor
     rows = tuple(place_rows(program, arm, None if told is None else told.base_frame))
-    return Exported(file, program.seconds, program.stretch, used, program.places, share, rows)
+    done = Exported(file, program.seconds, program.stretch, used, program.places, share, rows)
+    return done._replace(waits=len(program.waits)) if len(made) == 2 else done
 
 
 def _records_of(
@@ -174,8 +177,8 @@ def _records_of(
     record = _read_record(path)
     if found := re.fullmatch(r"trajectory-([12])\.json", path.name):
         across = path.with_name(f"trajectory-{3 - int(found[1])}.json")
-        if across.is_file():
-            return record, read_record(across)
+        check_exists(across, "the record of the other arm, for which this one has to wait")
+        return record, read_record(across)
     return (record,)
 
 
