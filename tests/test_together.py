@@ -32,6 +32,7 @@ from learn2assemble.cell.workcell import Workcell
 from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
+from learn2assemble.export.ros2 import names_of_two
 from learn2assemble.motion.attempts import merged
 from learn2assemble.motion.driver import arm_of
 from learn2assemble.motion.plant import (
@@ -43,9 +44,9 @@ from learn2assemble.motion.plant import (
     WrappedPlant,
     standing,
 )
-from learn2assemble.motion.program import Program, make_program
+from learn2assemble.motion.program import Program, make_program, motions
 from learn2assemble.motion.waits import APART as KEPT
-from learn2assemble.motion.waits import held_by, with_waits
+from learn2assemble.motion.waits import held_by, on_one_clock, with_waits
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells
@@ -524,6 +525,46 @@ def test_each_arm_gets_a_program_that_says_what_it_waits_for(
         l2a.export_program(alone, "csv", tmp_path / "alone.csv")
     with pytest.raises(InputError, match=r"trajectory-N\.json of one of them"):
         l2a.export_program(folder, "urscript", tmp_path / "both.script")
+
+
+def test_a_bag_has_both_arms_on_one_clock(
+    built: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    """Each rests where it waits; nothing else of its motion is another one."""
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    plan = Plan.load(built[0])
+    arms = [arm_of(record.arm) for record in plan.records]
+    made = [make_program(*one) for one in zip(plan.records, arms, strict=True)]
+    waiting = with_waits((made[0], made[1]), (arms[0], arms[1]))
+    together = on_one_clock(waiting)
+    for who, (before, now) in enumerate(zip(waiting, together, strict=True)):
+        assert (np.diff(now.knots.time) > 0).all()
+        assert len(list(motions(now))) == len(list(motions(before)))
+        for (a, b), (c, d) in zip(motions(before), motions(now), strict=True):
+            assert np.allclose(
+                np.diff(before.knots.time[a : b + 1]), np.diff(now.knots.time[c : d + 1])
+            )
+            assert np.array_equal(before.knots.position[a : b + 1], now.knots.position[c : d + 1])
+        for wait in now.waits:
+            assert wait.time >= wait.other - 1e-9
+            assert wait.other in together[1 - who].awaited
+    rested = sum(b.seconds - a.seconds for a, b in zip(waiting, together, strict=True))
+    assert rested > 0.01
+    bag = l2a.export_program(built[0], "ros2", tmp_path)
+    with bag.file.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        found = [(c.topic, m.log_time, data) for _, c, m, data in reader.iter_decoded_messages()]
+    for name, program in zip(("ur5e", "panda"), together, strict=True):
+        told = [time for topic, time, _ in found if topic == f"/{name}/joint_trajectory"]
+        begins = [round(1e9 * program.knots.time[a]) for a, _ in motions(program)]
+        assert told == begins
+    frames = {t.child_frame_id for topic, _, m in found if topic[:3] == "/tf" for t in m.transforms}
+    assert {"ur5e/tcp", "panda/tcp", "ur5e/base", "panda/panda_link0", "cell_0"} <= frames
+    with pytest.raises(InputError, match="the programs of two arms"):
+        l2a.replay_program(bag.file, "ur5e")
+    assert names_of_two("panda", "panda") == ("panda_1", "panda_2")
 
 
 def test_the_page_shows_both(built: tuple[Path, dict[str, Any]]) -> None:

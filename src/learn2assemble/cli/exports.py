@@ -99,7 +99,7 @@ def _export_program(options: argparse.Namespace, output: Output) -> None:
         )
     output.say(f"where blocks, base and arm have to be: {WHERE[options.format]}")
     if done.waits is not None:
-        output.say(f"waits for the other arm {count_words(done.waits, 'time')}: export both")
+        output.say(f"two arms that wait for one another, {count_words(done.waits, 'time')} in here")
     output.finish(
         {
             "format": options.format,

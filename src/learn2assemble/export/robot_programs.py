@@ -82,7 +82,7 @@ class Exported(NamedTuple):
     rows: tuple[tuple[str, ...], ...] = ()
     """The places as a table, below :data:`~.place_words.PLACE_HEAD`."""
     waits: int | None = None
-    """How often it waits for the other arm; None: it is alone."""
+    """How often one arm waits for the other one in it; None: there is one arm."""
 
 
 def export_program(
@@ -103,7 +103,8 @@ def export_program(
             the record of a plan, ``plan.record``. Of a build by two arms: the
             ``trajectory-N.json`` of one of them, beside that of the other one; or both of
             ``plan.records``, that of this arm first. The program then waits for that of the other
-            arm where it has to.
+            arm where it has to. As ``ros2`` the folder of such a build is one bag of both, on one
+            clock.
         format: ``csv``, ``franka``, ``ros2`` or ``urscript``.
         path: a new file, or a folder that gets a file of the usual name; a table whose name ends
             in ``.gz`` is packed.
@@ -150,21 +151,40 @@ def export_program(
             settings = replace(settings, speed_factor=float(speed))
         check_name("refill", refill or "hand", REFILL)
         options = {"settings": settings, "resume_from": resume_from, "refill": refill or "hand"}
-    records = _records_of(source)
+    both = None if format != "ros2" or not isinstance(source, str | Path) else _of_two(Path(source))
+    records = _records_of(source if both is None else both)
     if not all(isinstance(one, BuildRecord) for one in records) or len(records) not in (1, 2):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InputError("source", source, "a BuildRecord (of a plan its .record), or a folder")
     arms = [arm_of(record.arm) for record in records]
     made = [make_program(*one) for one in zip(records, arms, strict=True)]
-    program, arm = made[0], arms[0]
     if len(made) == 2:
-        program, _ = with_waits((made[0], made[1]), (arms[0], arms[1]))
+        made = [*with_waits((made[0], made[1]), (arms[0], arms[1]))]
+    if both is not None:
+        options["across"] = made[1], arms[1]
+    program, arm = made[0], arms[0]
     write(program, arm, file, **options)
-    used = usage(program.knots, arm.bounds)
+    shown = list(zip(made, arms, strict=True))[: 1 if both is None else 2]
+    shares = [usage(one.knots, its.bounds) for one, its in shown]
+    used = {name: max(share[name] for share in shares) for name in shares[0]}
     told = options.get("settings")
-    share = 1.0 if told is None else told.speed_factor
-    rows = tuple(place_rows(program, arm, None if told is None else told.base_frame))
-    done = Exported(file, program.seconds, program.stretch, used, program.places, share, rows)
-    return done._replace(waits=len(program.waits)) if len(made) == 2 else done
+    frame = None if told is None else told.base_frame
+    return Exported(
+        file,
+        max(one.seconds for one, _ in shown),
+        max(one.stretch for one, _ in shown),
+        used,
+        tuple(place for one, _ in shown for place in one.places),
+        1.0 if told is None else told.speed_factor,
+        tuple(row for one, its in shown for row in place_rows(one, its, frame)),
+        sum(len(one.waits) for one, _ in shown) if len(made) == 2 else None,
+    )
+
+
+def _of_two(path: Path) -> Path | None:
+    """The first record of a folder in which two arms have built; None for all else."""
+    folder = path.parent if path.name == "plan.json" else path
+    first = folder / "trajectory-1.json"
+    return None if (folder / "trajectory.json").is_file() or not first.is_file() else first
 
 
 def _records_of(
@@ -188,7 +208,7 @@ def _read_record(path: Path) -> BuildRecord:
     if file.name == "plan.json":
         file = file.with_name("trajectory.json")
     if not file.is_file() and file.with_name("trajectory-1.json").is_file():
-        expected = "the trajectory-N.json of one of them: each arm has a program of its own"
+        expected = "the trajectory-N.json of one of them: only a bag (ros2) has both"
         raise InputError("PLAN", f"{path}, a build by several arms", expected)
     if not file.is_file():
         expected = "the folder of a build with an arm (l2a build --arm), or its trajectory.json"

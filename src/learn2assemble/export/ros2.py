@@ -37,6 +37,7 @@ from learn2assemble.geometry.rotations import (
 from learn2assemble.motion.driver import driver_of
 from learn2assemble.motion.knots import Knots, usage
 from learn2assemble.motion.program import Program, ToolState, motions
+from learn2assemble.motion.waits import on_one_clock
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import forward_many, get_chain
 from learn2assemble.robot.moves import STAGES
@@ -59,6 +60,14 @@ _TOPICS = {
     "/tf_static": "tf2_msgs/msg/TFMessage",
     "/blocks": "visualization_msgs/msg/MarkerArray",
 }
+
+_OF_ALL = ("/tf", "/tf_static", "/blocks")
+"""Topics that two arms share."""
+
+
+def names_of_two(one: str, other: str) -> tuple[str, str]:
+    """What two arms are called in a bag of both."""
+    return (one, other) if one != other else (f"{one}_1", f"{other}_2")
 
 
 def _definitions() -> dict[str, str]:
@@ -83,8 +92,14 @@ def _definitions() -> dict[str, str]:
     }
 
 
-def write_bag(program: Program, arm: Arm, path: Path) -> None:
+def write_bag(
+    program: Program, arm: Arm, path: Path, across: tuple[Program, Arm] | None = None
+) -> None:
     """Write a bag; time 0 is the beginning of the program.
+
+    Args:
+        across: of a build by two arms, the other one: the bag has both then, on one clock, with the
+            name of its arm before each topic and frame.
 
     Raises:
         MissingExtraError: without the extra ``ros2``.
@@ -95,14 +110,23 @@ def write_bag(program: Program, arm: Arm, path: Path) -> None:
     out = io.BytesIO()
     writer = Writer(out)
     schemas = {kind: writer.register_msgdef(kind, text) for kind, text in _definitions().items()}
+    both = [("", program, arm)]
+    if across is not None:
+        first, second = on_one_clock((program, across[0]))
+        one, two = names_of_two(program.arm, across[0].arm)
+        both = [(f"/{one}", first, arm), (f"/{two}", second, across[1])]
     messages = [
-        *_head_messages(program, arm),
-        *_motion_messages(program, arm),
-        *_tool_messages(program),
-        *_scene_messages(program, arm),
+        (time, prefix * (topic not in _OF_ALL) + topic, topic, message)
+        for prefix, told, by in both
+        for time, topic, message in (
+            *_head_messages(told, by),
+            *_motion_messages(told, by),
+            *_tool_messages(told),
+            *_scene_messages(told, by, prefix[1:]),
+        )
     ]
-    for time, topic, message in sorted(messages, key=itemgetter(0)):
-        writer.write_message(topic, schemas[_TOPICS[topic]], message, time, time)
+    for time, topic, kind, message in sorted(messages, key=itemgetter(0)):
+        writer.write_message(topic, schemas[_TOPICS[kind]], message, time, time)
     writer.finish()
     write_file(path, out.getvalue(), "bag")
 
@@ -161,15 +185,19 @@ def _tool_messages(program: Program) -> Iterator[Message]:
             yield time, "/tool/press", {"data": state.press}
 
 
-def _scene_messages(program: Program, arm: Arm) -> Iterator[Message]:
-    """Frames of robot, tool point and cells, and the markers in these."""
-    driver, blocks = driver_of(arm), program.blocks
+def _scene_messages(program: Program, arm: Arm, name: str = "") -> Iterator[Message]:
+    """Frames of robot, tool point and cells, and the markers in these.
+
+    Args:
+        name: of one of two arms, before the frames of its own.
+    """
+    driver, blocks, own = driver_of(arm), program.blocks, f"{name}/" if name else ""
     # The flange is where the tool point, which moves, says it is.
     turn = driver.tcp[3:] * [1, -1, -1, -1]
     flange = np.concatenate([-rotate_vectors(turn[None], driver.tcp[None, :3])[0], turn])
     fixed = [
-        _transform(0, "world", driver.base_frame, driver.base),
-        _transform(0, "tcp", driver.flange_frame, flange),
+        _transform(0, "world", own + driver.base_frame, driver.base),
+        _transform(0, f"{own}tcp", own + driver.flange_frame, flange),
     ]
     yield 0, "/tf_static", {"transforms": fixed}
     markers = list[dict[str, Any]]()
@@ -199,7 +227,7 @@ def _scene_messages(program: Program, arm: Arm) -> Iterator[Message]:
                 for cell, offset in held.items():
                     poses[cell] = _product(tool, offset)
                 changed |= set(held)
-        transforms = [_transform(_ns(t), "world", "tcp", tool)]
+        transforms = [_transform(_ns(t), "world", f"{own}tcp", tool)]
         transforms += [_transform(_ns(t), "world", f"cell_{c}", poses[c]) for c in sorted(changed)]
         yield _ns(t), "/tf", {"transforms": transforms}
 
@@ -304,7 +332,8 @@ def read_bag(path: Path, name: str) -> tuple[Program, Arm]:
         got = str(error) or type(error).__name__
         raise InputError(source, got, "a bag that is whole") from None
     if not found["/program"] or not found["/joint_trajectory"]:
-        raise InputError(source, "no program in it", "a bag that l2a export has written")
+        got = "the programs of two arms" if b"/joint_trajectory" in content else "no program in it"
+        raise InputError(source, got, "a bag that l2a export has written, of one arm")
     head = load_json(found["/program"][0][1].data, f"{source}: /program", "header")
     told = read_header(head, source, name)
     arm = told.arm

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.motion.knots import Knots
 from learn2assemble.motion.program import Program, Wait, motions
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.bodies import Part
@@ -70,6 +71,88 @@ def with_waits(programs: tuple[Program, Program], arms: tuple[Arm, Arm]) -> tupl
     return (
         replace(programs[0], waits=first, awaited=tuple(wait.other for wait in second)),
         replace(programs[1], waits=second, awaited=tuple(wait.other for wait in first)),
+    )
+
+
+def on_one_clock(programs: tuple[Program, Program]) -> tuple[Program, Program]:
+    """Both programs as they go on together where each is as fast as planned: with rests where they
+    wait, so that their times are those of one clock.
+
+    Args:
+        programs: of :func:`with_waits`.
+    """
+    rests = [np.zeros(len(program.waits)) for program in programs]
+    begins = [np.array([wait.time for wait in program.waits]) for program in programs]
+    settled = False
+    while not settled:
+        settled = True
+        for who, program in enumerate(programs):
+            for n, wait in enumerate(program.waits):
+                other = begins[1 - who] < wait.other - 1e-9
+                comes = wait.other + rests[1 - who][other].sum()
+                rest = max(comes - wait.time - rests[who][:n].sum(), 0.0)
+                settled = settled and rest == rests[who][n]
+                rests[who][n] = rest
+    clocks = [_Rests(*one) for one in zip(begins, rests, strict=True)]
+    first, second = (
+        _rested(program, clocks[who], clocks[1 - who]) for who, program in enumerate(programs)
+    )
+    return first, second
+
+
+class _Rests(NamedTuple):
+    """What time it is in a program that rests."""
+
+    begins: np.ndarray
+    """float64[w]: before what [s, of the program] ..."""
+    rests: np.ndarray
+    """float64[w]: ... it rests for so long [s]."""
+
+    def before(self, time: float) -> float:
+        """At the beginning of a rest before a time [s]."""
+        return time + float(self.rests[self.begins < time - 1e-9].sum())
+
+    def behind(self, time: float) -> float:
+        """At the end of it [s]."""
+        return time + float(self.rests[self.begins < time + 1e-9].sum())
+
+
+def _rested(program: Program, clock: _Rests, other: _Rests) -> Program:
+    """A program on one clock with the other one."""
+    knots, begins = program.knots, clock.begins[clock.rests > 1e-9]
+    stands = np.searchsorted(knots.time, begins - 1e-9)
+    stands = np.unique(stands[np.abs(knots.time[stands] - begins) < 1e-9])
+    # Each is a knot twice: where the arm comes to rest, and where it moves on.
+    twice = np.sort(np.concatenate([np.arange(len(knots.time)), stands]))
+    again = np.concatenate([[False], np.diff(twice) == 0])
+    times = zip(knots.time[twice].tolist(), again.tolist(), strict=True)
+    time = np.array([clock.behind(t) if moves_on else clock.before(t) for t, moves_on in times])
+    piece = np.minimum(twice[:-1], len(program.stage) - 1)
+    steps = tuple(
+        step._replace(
+            end=clock.before(step.end),
+            checks=tuple(map(clock.behind, step.checks)),
+            held=None if step.held is None else tuple(map(clock.behind, step.held)),
+        )
+        for step in program.steps
+    )
+    waits = tuple(
+        wait._replace(time=clock.behind(wait.time), other=other.before(wait.other))
+        for wait in program.waits
+    )
+    supply = tuple(one._replace(time=clock.before(one.time)) for one in program.blocks.supply)
+    return replace(
+        program,
+        knots=Knots(time, *(part[twice] for part in knots[1:])),
+        stage=program.stage[piece],
+        step=program.step[piece],
+        motion=np.where(again[1:], 0, program.motion[piece]),
+        states=tuple(one._replace(time=clock.behind(one.time)) for one in program.states),
+        steps=steps,
+        blocks=program.blocks._replace(supply=supply),
+        recorded=None,
+        waits=waits,
+        awaited=tuple(map(clock.before, program.awaited)),
     )
 
 
