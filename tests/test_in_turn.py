@@ -14,7 +14,7 @@ import pytest
 
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.boxes import box_block
-from learn2assemble.cell import in_turn
+from learn2assemble.cell import in_turn, team
 from learn2assemble.cell.crew import LIP_ROOM, ArmCrew, Member
 from learn2assemble.cell.in_turn import (
     about_vertical,
@@ -29,6 +29,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.geometry.hulls import box_hull, hull_of
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_matrix
 from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.sequence import Supports
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.capsules import Capsules, capsules_of, placed, solid_capsules
@@ -43,7 +44,7 @@ EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "structures"
 ARMS = SiteArm("one", "panda"), SiteArm("two", "panda")
 
 
-def beam_held_down() -> tuple[Plan, list[Member]]:
+def beam_held_down(posts: bool = False) -> tuple[Plan, list[Member]]:
     """A beam that falls off its pier until a stone stands on its end, planned for two arms."""
     pier = box_block("pier", (-0.12, -0.05, 0.0), (0.0, 0.05, 0.06), density=2000.0)
     beam = box_block("beam", (-0.12, -0.05, 0.06), (0.34, 0.05, 0.09), density=500.0)
@@ -51,7 +52,7 @@ def beam_held_down() -> tuple[Plan, list[Member]]:
     assembly = Assembly((pier, beam, stone), friction=0.6)
     members = set_up_team(assembly, ARMS, Site())
     options = {"friction": None, "gap": None, "seconds": 60.0}
-    return plan_by_team(assembly, members, posts=False, options=options), members
+    return plan_by_team(assembly, members, posts=posts, options=options), members
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +63,23 @@ def planned() -> tuple[Plan, list[Member]]:
 def built(planned: tuple[Plan, list[Member]]) -> Plan:
     plan, members = planned
     return build_in_turn(plan, members, Workcell("panda", hands=True), joint=0.0)
+
+
+def test_while_somebody_sets_posts_one_arm_works_after_the_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where hands hold nothing, a post stands under the beam until the stone has come."""
+    monkeypatch.setattr(team, "Supports", lambda **told: Supports(**{**told, "holds": 0}))
+    plan, members = beam_held_down(posts=True)
+    assert plan.by_turns
+    done = built((plan, members))
+    assert done.complete
+    assert [(s.action, s.arm is None) for s in done.steps if s.prop] == [
+        ("place", True),
+        ("remove", True),
+    ]
+    times = [record.spans() for record in done.records]
+    assert sum(len(one) for one in times) == 3
 
 
 def test_without_its_hold_the_beam_falls(

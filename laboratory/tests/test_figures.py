@@ -486,6 +486,7 @@ def test_the_table_of_two_arms_is_that_of_the_file() -> None:
     assert holds_told(TWO_ARMS) in own
     assert holds_told(TWO_ARMS, "arch of 21") in own
     assert holds_told(TWO_ARMS, "vault of 45") in own
+    assert holds_told(TWO_ARMS, "dome of 60") in own
     assert holds_told(TWO_ARMS, kind="noise") in own
 
 
