@@ -220,7 +220,8 @@ def set_up_team(
     if any(block.support for block in assembly.blocks):
         raise InputError("design", "blocks that stand before the first step", "none, for an arm")
     pieces = pieces_of(assembly)
-    level = len(arms) > 1 and is_narrow(find_contacts(assembly))
+    joints = find_contacts(assembly)
+    level = len(arms) > 1 and is_narrow(joints)
     found = team_reach(arms, pieces, assembly.holds, level)
     if out := found.out:
         names = ", ".join(pieces[k].id for k in out[:3])
@@ -259,19 +260,30 @@ def set_up_team(
             at = [round(v, 4) for v in magazine.pose]
             what = f"{site.source}: magazines[{n}]"
             raise InputError(what, at, "a place that one of the arms takes from and reaches")
-    return [_clear_of(member, [m.job for m in members if m is not member]) for member in members]
+    # Where blocks lean, one arm holds and the other one passes low, as it puts blocks down tilted;
+    # where both move at once, ways above a base leave the room in front of it to the other arm.
+    past = BASE_THERE if leaning(joints).any() else AT_THE_SIDE
+    return [_clear_of(m, [one.job for one in members if one is not m], past) for m in members]
 
 
-def _clear_of(member: Member, others: Sequence[Job]) -> Member:
-    """The arm, which keeps clear of what others take."""
-    taken = (one for job in others for one in occupied(job))
+def _clear_of(member: Member, others: Sequence[Job], past: int) -> Member:
+    """The arm, which keeps clear of what others take.
+
+    Args:
+        past: as of :func:`occupied`.
+    """
+    taken = (one for job in others for one in occupied(job, past))
     return replace(member, job=replace(member.job, obstacles=(*member.job.obstacles, *taken)))
 
 
-def occupied(job: Job) -> list[Obstacle]:
-    """What the other arm must not touch of one: where it stands, and where its blocks wait."""
+def occupied(job: Job, past: int) -> list[Obstacle]:
+    """What the other arm must not touch of one: where it stands, and where its blocks wait.
+
+    Args:
+        past: how ways pass its base, :data:`BASE_THERE` or :data:`AT_THE_SIDE`.
+    """
     x, y = job.base.tolist()
-    found = [Obstacle((x, y), BASE, float(job.arm.base_yaw), 0.0, "the other arm", BASE_THERE)]
+    found = [Obstacle((x, y), BASE, float(job.arm.base_yaw), 0.0, "the other arm", past)]
     for source in job.sources:
         a, b, c, d = source.area.bounds
         tall = max(
