@@ -36,7 +36,7 @@ from learn2assemble.robot.capsules import capsules_of, in_hand, solid_capsules
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.hand import SHARE, hand_limits
 from learn2assemble.robot.inverse import solve
-from learn2assemble.robot.moves import Move
+from learn2assemble.robot.moves import AT_THE_SIDE, BASE_THERE, Move
 from learn2assemble.robot.sweeps import clear, sweep
 from learn2assemble.simulation.clock import SharedClock
 from learn2assemble.simulation.plant import DynamicPlant
@@ -52,6 +52,15 @@ def balanced() -> Assembly:
     beam = box_block("beam", (-0.12, -0.05, 0.06), (0.34, 0.05, 0.09), density=500.0)
     stone = box_block("stone", (-0.12, -0.05, 0.09), (0.0, 0.05, 0.15), density=2000.0)
     return Assembly((pier, beam, stone), friction=0.6)
+
+
+def test_ways_pass_a_base_at_the_side_where_blocks_lean_alone() -> None:
+    """Where both arms move at once, ways above a base leave the other arm more room."""
+    arch = runpy.run_path(str(EXAMPLES / "arch.py"))["arch"](5, 0.2, 0.08)
+    for assembly, past in ((balanced(), AT_THE_SIDE), (arch, BASE_THERE)):
+        for member in set_up_team(assembly, ARMS, Site()):
+            told = {one.name: one.aside for one in member.job.obstacles}
+            assert told == {"the other arm": past, "the other arm's supply": AT_THE_SIDE}
 
 
 def held_at(name: str) -> tuple[Arm, Move, np.ndarray]:
