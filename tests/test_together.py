@@ -504,6 +504,10 @@ def test_each_arm_gets_a_program_that_says_what_it_waits_for(
         file = l2a.export_program(folder / f"trajectory-{number}.json", "csv", tmp_path / "t.csv")
         head = [line[2:] for line in file.file.read_text().splitlines() if line[0] == "#"]
         told.append({key: json.loads(rest) for key, _, rest in (x.partition(": ") for x in head)})
+        played = l2a.replay_program(file.file, ("ur5e", "panda")[number - 1])
+        mine = len({step["block"] for step in told[-1]["steps"]})
+        assert played.same
+        assert played.brought == Plan.load(folder).blocks.used - mine > 0
         file.file.unlink()
     for one, other in (told, told[::-1]):
         assert [wait["other"] for wait in one["waits"]] == other["awaited"]

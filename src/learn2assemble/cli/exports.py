@@ -145,6 +145,7 @@ def _add_arm(options: argparse.Namespace, output: Output) -> int:
 )
 def _replay(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where the same structure results, and 1 where it does not."""
+    from learn2assemble.assembly.instruction_words import count_words
     from learn2assemble.export.robot_programs import replay_program
     from learn2assemble.simulation.dry_run import SAME
 
@@ -157,6 +158,9 @@ def _replay(options: argparse.Namespace, output: Output) -> int:
         f"after {done.seconds:.1f} s of motion {len(done.error)} blocks are "
         f"{1e3 * done.error.mean():.2f} mm from their places on average"
     )
+    if done.brought:
+        count = count_words(done.brought, "block")
+        output.say(f"this arm does not move {count} of these: put where the build had them")
     far = f"{1e3 * done.error[worst]:.2f} mm (limit {1e3 * SAME:g})"
     output.paragraph(f"farthest from its place is {name}, {far}")
     output.finish(
@@ -165,6 +169,7 @@ def _replay(options: argparse.Namespace, output: Output) -> int:
             "fault": done.fault,
             "seconds": round(done.seconds, 3),
             "blocks": len(done.error),
+            "brought": done.brought,
             "mean_error_m": round(float(done.error.mean()), 7),
             "worst_error_m": round(float(done.error[worst]), 7),
             "worst_block": worst,

@@ -31,6 +31,7 @@ from learn2assemble.motion.program import (
     ProgramStep,
     Supply,
     ToolState,
+    Wait,
 )
 from learn2assemble.motion.record import are_objects
 from learn2assemble.motion.stud_files import studs_data, studs_from
@@ -133,6 +134,8 @@ class Header(NamedTuple):
     stretch: float
     speed: float
     """Of the gripper's opening [m/s]."""
+    waits: tuple[Wait, ...]
+    awaited: tuple[float, ...]
 
 
 def read_header(data: Any, source: str, name: str) -> Header:
@@ -190,7 +193,13 @@ def read_header(data: Any, source: str, name: str) -> Header:
         if not all(are_objects(cells, objects, blocks.studs) for cells in moved):
             raise InputError(f"{source}: steps", "cells that are no object", "cells of objects")
         numbers = _array([data[key] for key in ("seconds", "stretch", "gripper_speed")], 3)
-        return Header(arm, blocks, steps, *numbers.tolist())
+        waits = tuple(
+            Wait(float(one["time"]), float(one["other"]), int(one["number"]))
+            for one in data.get("waits", ())
+        )
+        awaited = tuple(map(float, data.get("awaited", ())))
+        seconds, stretch, speed = numbers.tolist()
+        return Header(arm, blocks, steps, seconds, stretch, speed, waits, awaited)
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
@@ -379,6 +388,8 @@ def read_table(path: Path, name: str) -> tuple[Program, Arm]:
         told.steps,
         told.blocks,
         told.stretch,
+        waits=told.waits,
+        awaited=told.awaited,
     )
     return program, arm
 

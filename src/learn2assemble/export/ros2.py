@@ -351,6 +351,8 @@ def read_bag(path: Path, name: str) -> tuple[Program, Arm]:
         told.steps,
         told.blocks,
         told.stretch,
+        waits=told.waits,
+        awaited=told.awaited,
     )
     return program, arm
 

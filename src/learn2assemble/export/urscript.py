@@ -343,6 +343,8 @@ def _asks(program: Program, arm: Arm) -> Iterator[_Ask]:
             time = _aside(program, arm, k, hand)
             yield _Ask(k, time, f"l2a_wait_for_block({_wanted(program, step)})")
         for one in program.blocks.supply:
+            if program.of_two and not set(one.cells) & set(step.cells):
+                continue  # The other arm has put it back.
             if begin + 1e-9 < one.time <= step.end + 1e-9 and one.poses[0, 2] < 0:
                 name = plain(program.blocks.name(one.cells[0]))
                 words = f"take {name} away, where the arm has put it down, then go on"

@@ -232,6 +232,13 @@ def motions(program: Program) -> Iterator[tuple[int, int]]:
             yield begin, end
 
 
+def left_alone(program: Program) -> int:
+    """How many objects stand there at the end that no step moves."""
+    moved, end = {cell for step in program.steps for cell in step.cells}, program.blocks.end
+    others = (cells for cells in program.blocks.objects if not moved.intersection(cells))
+    return sum(bool(end[cells[0], 2] >= 0) for cells in others)
+
+
 def make_program(record: BuildRecord, arm: Arm) -> Program:
     """What the arm has to be told to repeat a recorded build.
 

@@ -50,7 +50,7 @@ other: what cannot come past one that holds comes past few others, and all ways 
 too many."""
 _IDLE = 40
 """Moves of which none came farther, after which a search with hands is not the next thing to try:
-those that end well have 21 of these in our arches."""
+those that end well had 21 at most in our arches."""
 _NO_SUPPORTS = Supports()
 Progress = Callable[[str], None]
 
@@ -91,14 +91,13 @@ def find_sequence(
     """Order, supports and proof for dry blocks that are given where they stand."""
     plain = _DryOrder(problem, supports, (), clock, progress)
     end, last = plain.rules.end, plain.rules.laws[-1]
-    order, found, stands = plain, plain.run(), plain.rules.law(end) is not None
-    more = _helped(problem, supports, plain, found) if stands else iter(())
-    while not found.complete and clock.left > 0:
-        other, steps = next(more, (plain, None))
-        if steps is None:
-            break
+    stands = plain.rules.law(end) is not None
+    order, found = plain, plain.run()
+    for other, steps in _helped(problem, supports, plain, found):
         if other.worth(steps) > order.worth(found):
             order, found = other, steps
+        if found.complete or clock.left <= 0 or not stands:
+            break
     made = order.sequenced(found)
     if stands:
         return made
@@ -139,12 +138,13 @@ def _aids(supports: Supports) -> Iterator[_Aid]:
 def _helped(
     problem: OrderProblem, supports: Supports, plain: _DryOrder, found: _Steps
 ) -> Iterator[tuple[_DryOrder, _Steps]]:
-    """Orders with more and more help, each as far as it comes.
+    """Orders with more and more help, each as far as it comes; the first one has none.
 
     Args:
         plain: the search without help.
         found: the steps that it has found.
     """
+    yield plain, found
     known = dict[bool, _DryOrder | None]()
     for aid in _aids(supports):
         if not aid.posts:
@@ -267,8 +267,9 @@ class _DryOrder:
             idle: it gives up after so many moves of which none came farther, and after half of the
                 time that is left.
         """
-        last = idle == math.inf
-        clock = self.clock if last else Clock(self.clock.left / 2, self.clock.timer)
+        clock = self.clock
+        if idle < math.inf:
+            clock = Clock(clock.left / 2, clock.timer)
         found = depth_first(self.rules, clock, self.progress, idle)
         steps = [step for move in (self.rules.first, *found.path) for step in move.steps]
         return _Steps(steps, () if found.complete else self.rules.stuck(found), found.complete)

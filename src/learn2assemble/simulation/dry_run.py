@@ -15,7 +15,7 @@ import numpy as np
 
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import cube_yaw, quaternion_matrix
-from learn2assemble.motion.program import LOAD_TIME, Blocks, Program, ProgramStep
+from learn2assemble.motion.program import LOAD_TIME, Blocks, Program, ProgramStep, left_alone
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.grasps import Attitude, facing
 from learn2assemble.robot.moves import Move, Scene
@@ -47,6 +47,9 @@ class DryRun(NamedTuple):
     """What the arm ran into, or which brick was not pressed home, where that ended the run."""
     names: tuple[str, ...] = ()
     """What the block of each cell is called."""
+    brought: int = 0
+    """Of a build by two arms, blocks that this one does not move: they were put where the build had
+    them."""
 
     @property
     def same(self) -> bool:
@@ -116,7 +119,8 @@ def play(program: Program, arm: Arm) -> DryRun:
             poses[list(present.cells)] = present.poses
     error = np.linalg.norm(poses[:, :3] - blocks.end[:, :3], axis=1)
     names = tuple(map(blocks.name, range(len(poses))))
-    return DryRun(poses, error, program.seconds, fault, names)
+    brought = left_alone(program) if program.of_two else 0
+    return DryRun(poses, error, program.seconds, fault, names, brought)
 
 
 class _Told(NamedTuple):

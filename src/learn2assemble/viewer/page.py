@@ -198,8 +198,10 @@ def render_assembly_page(
 
 
 def _built(parts: Sequence[ScenePart]) -> list[ScenePart]:
-    """One stay of every block, without what stood before and is gone at the end."""
-    return [part for part in _once(parts) if part.placed or not part.removed]
+    """One stay of every block, without what stood before and is gone at the end, if that is not
+    all."""
+    whole = _once(parts)
+    return [part for part in whole if part.placed or not part.removed] or whole
 
 
 def _once(parts: Sequence[ScenePart]) -> list[ScenePart]:

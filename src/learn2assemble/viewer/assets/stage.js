@@ -487,8 +487,8 @@ function createLayers(data, stage) {
   const blocks = readBlocks(data), find = (id) => document.getElementById(id);
   const slider = find("layer"), plan = find("layer-plan");
   const byLayer = data.layers.map(() => []);
-  for (const block of blocks) {
-    if (isOld(block.placed, block.removed)) continue;
+  const built = blocks.filter(({ placed, removed }) => !isOld(placed, removed));
+  for (const block of built.length ? built : blocks) {
     data.shapes.sections[block.shape].forEach(([low, high, rings, middle], number) => {
       const [bottom, top] = [low + block.at[2], high + block.at[2]];
       data.heights.forEach((height, layer) => {
