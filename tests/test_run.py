@@ -20,7 +20,8 @@ from learn2assemble.cell.workcell import Job, Workcell
 from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
-from learn2assemble.jobs.run import IN_HAND, Ran, run
+from learn2assemble.jobs.driven import IN_HAND
+from learn2assemble.jobs.run import Ran, run
 from learn2assemble.motion.plant import BlockReading, Request, Stop, ToolCommand, standing
 from learn2assemble.motion.safety import Box, Safety
 from learn2assemble.motion.setup import Noise, Setup, Surroundings, open_plant

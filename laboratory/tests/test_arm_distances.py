@@ -23,12 +23,12 @@ from l2a_lab.stopped_arm import Pressed, StoppedCell
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell import together
 from learn2assemble.cell.crew import Member
-from learn2assemble.cell.in_turn import build_in_turn
+from learn2assemble.cell.in_turn import build_by_two
 from learn2assemble.cell.pair import Pair, gather
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import plan_by_team, set_up_team
-from learn2assemble.cell.together import Together, build_together
+from learn2assemble.cell.together import Together
 from learn2assemble.cell.traffic import Route, Traffic
 from learn2assemble.cell.workcell import Workcell
 from learn2assemble.cell.world import MISSING
@@ -188,7 +188,7 @@ def counted(traffic: Traffic) -> list[bool]:
     return found
 
 
-def test_two_arms_build_together(crew: Pair) -> None:
+def test_two_arms_build_by_two(crew: Pair) -> None:
     both = Together(crew, WatchedCell)
     told: list[str] = []
     announced = counted(both.traffic)
@@ -334,7 +334,7 @@ def built(beam: tuple[Plan, list[Member]]) -> tuple[Plan, WatchedCell]:
         return cells[-1]
 
     plan, members = beam
-    done = build_in_turn(plan, members, Workcell("panda", hands=True), joint=0.0, opened=opened)
+    done = build_by_two(plan, members, Workcell("panda", hands=True), joint=0.0, opened=opened)
     return done, cells[0]
 
 
@@ -453,10 +453,10 @@ def test_a_build_of_which_an_arm_was_stopped_while_it_pressed_goes_on(
 
         return executed
 
-    stopped = build_together(plan, members, workcell, joint=0.0, order=order, opened=opened)
+    stopped = build_by_two(plan, members, workcell, joint=0.0, order=order, opened=opened)
     assert stopped.status == "incomplete"
     assert "pressed the button" in (stopped.reason or "")
-    done = build_together(plan, members, workcell, joint=0.0, order=order, opened=opened)
+    done = build_by_two(plan, members, workcell, joint=0.0, order=order, opened=opened)
     assert done.complete, done.reason
     # What is built beside, and brought by one arm, is no step of the other one.
     worked = [arm.did for arm in done.arms if arm.did is not None and arm.did.attempts]
@@ -499,7 +499,7 @@ def build(
 
     plan, members = planned
     cell = Workcell("ur5e", log=log)
-    return build_together(plan, members, cell, joint=KIT.joint_gap, opened=opened), cells[0]
+    return build_by_two(plan, members, cell, joint=KIT.joint_gap, opened=opened), cells[0]
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ import numpy as np
 from l2a_lab.arm_distances import WatchedCell
 from l2a_lab.measured import Result
 from learn2assemble.cell.crew import Member
-from learn2assemble.cell.together import build_together
+from learn2assemble.cell.in_turn import build_by_two
 from learn2assemble.cell.workcell import Workcell
 from learn2assemble.motion.plant import PlantError, Stop
 from learn2assemble.motion.setup import Setup
@@ -119,7 +119,7 @@ def _built(job: Job, workcell: Workcell, pressed: Pressed | None) -> tuple[Plan,
         cells.append(StoppedCell(setup, pressed))
         return cells[-1]
 
-    done = build_together(job.plan, job.members, workcell, joint=job.joint, opened=opened)
+    done = build_by_two(job.plan, job.members, workcell, joint=job.joint, opened=opened)
     return done, cells[0]
 
 

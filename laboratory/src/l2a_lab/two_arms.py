@@ -28,12 +28,11 @@ from l2a_lab.two_arms_bricks import ARM, BOTH, BRICKS
 from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
 from learn2assemble.cell.carry_out import carry_out
 from learn2assemble.cell.crew import Member
-from learn2assemble.cell.in_turn import build_in_turn
+from learn2assemble.cell.in_turn import build_by_two
 from learn2assemble.cell.reach import Base
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import plan_by_team, set_up_team
-from learn2assemble.cell.together import build_together
 from learn2assemble.cell.workcell import Workcell
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.read import read_design
@@ -260,9 +259,8 @@ def _watched(
 
     if not plan.complete:
         return plan, {"planning_s": round(time.process_time() - started, 2)}
-    carry = build_in_turn if plan.by_turns else build_together
     at = workcell or Workcell(ARMS[0], hands=plan.by_turns)
-    done = carry(plan, members, at, joint=joint, opened=opened)
+    done = build_by_two(plan, members, at, joint=joint, opened=opened)
     least = cells[0].least()
     return done, {
         "robot_s": done.robot_s,

@@ -14,7 +14,6 @@ import numpy as np
 from learn2assemble.cell.arrange import Hands, arrange
 from learn2assemble.cell.bricks import BrickStructure
 from learn2assemble.cell.building import Building, Kept, Prepared
-from learn2assemble.cell.cameras import through_cameras
 from learn2assemble.cell.reach import cells_of, set_up, with_other_tools
 from learn2assemble.cell.report import Witness, Worked, arm_report, carried_out, words_of
 from learn2assemble.cell.structure import Structure
@@ -32,9 +31,15 @@ from learn2assemble.progress import Detail
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.kinematic import KinematicCell
+from learn2assemble.sensing.eyes import SeeingPlant, Sort
+from learn2assemble.sensing.pictures import pictures_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from learn2assemble.assembly.kit import Kit
+    from learn2assemble.cell.pieces import Piece
+    from learn2assemble.sensing.camera import DepthCamera
 
 # ---------------------------------------------------------------- the whole of it
 
@@ -265,3 +270,38 @@ def key_of(plan: Plan, workcell: Workcell) -> str:
         workcell.touch,
     )
     return hashlib.sha256(repr(told).encode()).hexdigest()[:24]
+
+
+def through_cameras(
+    plant: Plant, setup: Setup, pieces: Sequence[Piece], cameras: Sequence[DepthCamera]
+) -> Plant:
+    """A plant whose blocks are seen by cameras; the plant itself where there are none, or where
+    something else is said to see blocks.
+
+    Args:
+        plant: a simulated cell shows itself to the cameras; of others ``setup.around.pictures``
+            takes the pictures.
+        setup: the cell as it is meant to be.
+        pieces: blocks of the plan.
+        cameras: of the layout.
+
+    Raises:
+        InputError: where nothing takes pictures.
+    """
+    pictures = setup.around.pictures
+    if not cameras or setup.around.look is not None:
+        return plant
+    if pictures is None:
+        pictures = pictures_of(plant, setup, cameras)
+    if pictures is None:
+        raise no_pictures(cameras)
+    sorts = {piece.id: Sort(piece.shape, tuple(piece.turns())) for piece in pieces}
+    fixed = [(kind.shape, pose) for kind, pose in setup.fixed]
+    return SeeingPlant(plant, setup.arm, cameras, pictures, sorts, setup.waiting, fixed)
+
+
+def no_pictures(cameras: Sequence[DepthCamera]) -> InputError:
+    """Nothing takes pictures with the cameras of a layout."""
+    names = ", ".join(camera.name for camera in cameras)
+    expected = "what takes their pictures (`Surroundings(pictures=...)`), or a layout without"
+    return InputError("cameras", names, expected)

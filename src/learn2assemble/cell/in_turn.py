@@ -21,22 +21,22 @@ import numpy as np
 from learn2assemble.assembly.contacts import Contacts, find_contacts
 from learn2assemble.assembly.hands import Hand
 from learn2assemble.cell.arrange import Arranged
-from learn2assemble.cell.building import Building, Prepared
+from learn2assemble.cell.building import PAUSED, Building, Prepared
 from learn2assemble.cell.crew import FINE, ArmCrew, Member, Reached
 from learn2assemble.cell.fitting import neighbours
-from learn2assemble.cell.pair import Pair, jobs_of, workcell_of
+from learn2assemble.cell.pair import Pair, gather, jobs_of, workcell_of
 from learn2assemble.cell.pressing import TURNS, PressingHand, contact_force
 from learn2assemble.cell.reach import cells_of
 from learn2assemble.cell.state import Action
 from learn2assemble.cell.structure import Structure
-from learn2assemble.cell.telling import route_of
-from learn2assemble.cell.together import Cell, Together, built_by, simulated
-from learn2assemble.cell.workcell import Progress, Workcell
+from learn2assemble.cell.telling import SharedJournal, route_of
+from learn2assemble.cell.together import Cell, Together, built_by, key_of_two, simulated
+from learn2assemble.cell.workcell import Progress, StepOf, Workcell
 from learn2assemble.cell.world import STANDING, Rows, direction_of, rows_of, supply_of
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.hulls import Hull, hull_of
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, yaw_matrix
-from learn2assemble.motion.plant import PlantError, Stop
+from learn2assemble.motion.plant import Plant, PlantError, Stop
 from learn2assemble.motion.setup import Setup
 from learn2assemble.planning.plan import Plan, Step
 from learn2assemble.robot.arm import Arm
@@ -59,30 +59,71 @@ ROOM = 0.012
 from the capsules in them, as from everything, 5 mm."""
 
 
-def build_in_turn(
+def build_by_two(
     plan: Plan,
     members: Sequence[Member],
     workcell: Workcell,
     *,
     joint: float = 1e-4,
     progress: Progress = lambda text: None,
-    opened: Callable[[Setup], Any] | None = None,
+    order: Sequence[StepOf] | None = None,
+    opened: Callable[[Setup], Any] = simulated,
 ) -> Plan:
-    """As :func:`~.together.build_together`, a plan with steps that hold a block.
+    """A complete plan, carried out by two arms in one simulated cell.
 
-    No file of the build is kept: it could not go on from that, as what was in a hand would have
-    been taken out of it.
+    Args:
+        plan, members, workcell, joint, progress, order, opened: as of :func:`two_arms`.
 
     Raises:
-        InputError: where there is a file to go on from.
+        InputError: as :func:`two_arms`.
     """
     started = time.perf_counter()
+    both = two_arms(
+        plan, members, workcell, joint=joint, progress=progress, order=order, opened=opened
+    )
+    return built_by(both, plan, progress, started)[0]
+
+
+def two_arms(
+    plan: Plan,
+    members: Sequence[Member],
+    workcell: Workcell,
+    *,
+    joint: float = 1e-4,
+    progress: Progress = lambda text: None,
+    order: Sequence[StepOf] | None = None,
+    opened: Callable[[Setup], Any] = simulated,
+    through: Callable[[int, Plant], Plant] = lambda who, plant: plant,
+) -> Together[Any]:
+    """Two arms that are about to carry a plan out: at the same time, or, where somebody holds a
+    block or is in the cell (:attr:`~.planning.plan.Plan.by_turns`), one after the other.
+
+    Args:
+        plan: complete.
+        members: the arms, see :func:`~.team.set_up_team`.
+        workcell: how they build; where its file exists, the build goes on from that. A build by
+            turns keeps none: what was in a hand would have been taken out of it.
+        joint: width of a vertical joint [m].
+        order: of bricks that clutch, of :func:`~.pair.bricks_by_team`.
+        opened, through: see :class:`~.together.Together`.
+
+    Raises:
+        InputError: as :func:`~.pair.gather`, and where a build by turns has a file to go on from.
+    """
+    if not plan.by_turns:
+        crew, journal = gather(plan, members, workcell, joint, order, progress), None
+        progress("starting the cell")
+        if workcell.log is not None:
+            journal = SharedJournal(workcell.log, key_of_two(plan, crew, workcell))
+        return Together(crew, opened, journal, through)
     if workcell.log is not None and workcell.log.exists():
-        raise InputError("log", str(workcell.log), "no build to go on from: steps hold a block")
-    progress("starting the simulation")
+        got = str(workcell.log)
+        raise InputError(
+            "log", got, "no build to go on from: steps hold a block, or are done by hand"
+        )
     crew, ways = gather_in_turn(plan, members, workcell, joint), ways_of(plan, members)
-    both = InTurn(crew, opened or simulated, plan.steps, ways)
-    return built_by(both, plan, progress, started)
+    progress("starting the cell")
+    return InTurn(crew, opened, plan.steps, ways, through)
 
 
 class Brought(NamedTuple):
@@ -221,7 +262,7 @@ class InTurn(Together[Cell]):
 
     Args:
         crew: of :func:`gather_in_turn`.
-        opened: as of :class:`~.together.Together`.
+        opened, through: as of :class:`~.together.Together`.
         steps: of the plan.
         ways: of :func:`ways_of`.
     """
@@ -236,8 +277,9 @@ class InTurn(Together[Cell]):
         opened: Callable[[Setup], Cell],
         steps: Sequence[Step],
         ways: dict[int, Brought],
+        through: Callable[[int, Plant], Plant] = lambda who, plant: plant,
     ) -> None:
-        super().__init__(crew, opened)
+        super().__init__(crew, opened, None, through)
         self.steps, self.ways = steps, ways
         self.now: int = 0
         """Number of the step whose turn it is."""
@@ -298,6 +340,8 @@ class InTurn(Together[Cell]):
                 building.ways = self.ways[number]
             building.world.arm = self._other_stands(who)
             self._act(who, Action(k, known.fitted(k), what, source), progress)
+            if self.paused:
+                return PAUSED
             self.holds[who] = None
             done = building.world.state[k] == STANDING
             if done != (step.action == "remove"):

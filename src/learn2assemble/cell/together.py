@@ -16,16 +16,24 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from learn2assemble.cell.arrange import put_beside, steps_before
-from learn2assemble.cell.building import Building, Prepared
+from learn2assemble.cell.building import PAUSED, Building, Prepared
 from learn2assemble.cell.carry_out import key_of, setup_of
-from learn2assemble.cell.crew import Member
-from learn2assemble.cell.pair import Pair, gather
+from learn2assemble.cell.pair import Pair
 from learn2assemble.cell.report import Attempted, Witness, Worked, carried_out, words_of
-from learn2assemble.cell.shared_journal import SharedJournal, Turn, take_up
 from learn2assemble.cell.state import Action
-from learn2assemble.cell.telling import Assumed, SharedCell, assume, forget, route_of, tell
+from learn2assemble.cell.telling import (
+    Assumed,
+    SharedCell,
+    SharedJournal,
+    Turn,
+    assume,
+    forget,
+    route_of,
+    take_up,
+    tell,
+)
 from learn2assemble.cell.traffic import ArmInTraffic, Route, Traffic
-from learn2assemble.cell.workcell import Progress, StepOf, Workcell
+from learn2assemble.cell.workcell import Progress, Workcell
 from learn2assemble.cell.world import STANDING, STOCK, rows_of
 from learn2assemble.motion.plant import Plant, PlantError, standing
 from learn2assemble.motion.record import RATE, BuildRecord
@@ -48,39 +56,10 @@ PATIENCE, SOON = 600, 20
 Cell = TypeVar("Cell", bound=SharedCell)
 
 
-def build_together(
-    plan: Plan,
-    members: Sequence[Member],
-    workcell: Workcell,
-    *,
-    joint: float = 1e-4,
-    progress: Progress = lambda text: None,
-    order: Sequence[StepOf] | None = None,
-    opened: Callable[[Setup], Any] | None = None,
-) -> Plan:
-    """A complete plan, carried out by two arms in one simulated cell.
-
-    Args:
-        members: the arms, see :func:`~.team.set_up_team`.
-        workcell: how they build; where its file exists, the build goes on from that.
-        joint: width of a vertical joint [m].
-        order: of bricks that clutch, of :func:`~.pair.bricks_by_team`.
-        opened: see :class:`Together`; by default the simulated cell.
-
-    Raises:
-        InputError: as :func:`gather`.
-    """
-    started = time.perf_counter()
-    progress("starting the simulation")
-    crew = gather(plan, members, workcell, joint, order, progress)
-    journal = None
-    if workcell.log is not None:
-        journal = SharedJournal(workcell.log, f"{key_of(plan, workcell)} {_who(crew)}")
-    return built_by(Together(crew, opened or simulated, journal), plan, progress, started)
-
-
-def built_by(both: Together[Any], plan: Plan, progress: Progress, started: float) -> Plan:
-    """What comes of a plan that two arms carry out.
+def built_by(
+    both: Together[Any], plan: Plan, progress: Progress, started: float
+) -> tuple[Plan, str | None]:
+    """What comes of a plan that two arms carry out, and why that is not all of it.
 
     Args:
         started: when they were asked to, on the clock of the machine [s].
@@ -90,12 +69,17 @@ def built_by(both: Together[Any], plan: Plan, progress: Progress, started: float
     turns = sorted(both.turns, key=lambda turn: turn.end)
     tried = [Attempted(turn.arm, turn.done) for turn in turns]
     built = carried_out(plan, both.worked, reason, took, both.plant, tried)
-    return replace(built, robot_s=round(both.seconds, 2))
+    return replace(built, robot_s=round(both.seconds, 2)), reason
 
 
 def simulated(setup: Setup) -> Any:
     """The simulated cell that is described, with all its arms."""
     return open_plant("sim://", setup)
+
+
+def key_of_two(plan: Plan, crew: Pair, workcell: Workcell) -> str:
+    """As :func:`~.carry_out.key_of`, of two arms."""
+    return f"{key_of(plan, workcell)} {_who(crew)}"
 
 
 def _who(crew: Pair) -> str:
@@ -122,6 +106,7 @@ class Together(Generic[Cell]):
         opened: opens the cell that is described, with the plants of both arms; of a simulation
             :class:`~learn2assemble.simulation.plant.DynamicPlant`.
         journal: what is kept of it; where there is something, the build goes on from that.
+        through: by number and plant of an arm, what that is driven through; by default itself.
 
     Raises:
         InputError: for a journal of another build, or one that cannot be used.
@@ -137,6 +122,7 @@ class Together(Generic[Cell]):
         crew: Pair,
         opened: Callable[[Setup], Cell],
         journal: SharedJournal | None = None,
+        through: Callable[[int, Plant], Plant] = lambda who, plant: plant,
     ) -> None:
         first, second = (one.job.arm for one in crew.found)
         job = crew.found[0].job
@@ -145,7 +131,7 @@ class Together(Generic[Cell]):
         setup = setup_of(own, crew.workcells[0], structure)._replace(others=(second,))
         self.plant, self.traffic = opened(setup), Traffic((first, second))
         self.journal, kept = journal, [] if journal is None else journal.read(self.plant)
-        mine, other = self.plant.plants
+        mine, other = (through(*one) for one in enumerate(self.plant.plants))
         self.arms: tuple[ArmInTraffic, ArmInTraffic] = (
             ArmInTraffic(mine, self.traffic, 0, other),
             ArmInTraffic(other, self.traffic, 1, mine),
@@ -181,8 +167,13 @@ class Together(Generic[Cell]):
         """Blocks that an arm moved when its plant ended that."""
         self.working: list[bool] = [True, True]
         self.reasons: list[str | None] = [None, None]
-        self.stops: list[str] = []
+        self.stops: list[PlantError] = []
         """Why plants have ended what an arm did."""
+        self.go_on: Callable[[int, Action], bool] = lambda who, action: True
+        """Asked before an attempt of an arm; where it says no, the build pauses."""
+        self.paused: bool = False
+        self._allowed: tuple[set[tuple[int, str]], ...] = (set(), set())
+        """What each arm may begin next: block, and what is done with it."""
         self._resumed = bool(kept)
         if kept:
             self._take_up(kept)
@@ -219,7 +210,9 @@ class Together(Generic[Cell]):
         if self.complete:
             return None
         # Where an arm was stopped, that is why the other one could not go on.
-        return next((why for why in (*self.stops, *self.reasons) if why), "neither arm can go on")
+        if self.stops:
+            return str(self.stops[0])
+        return next((why for why in self.reasons if why), "neither arm can go on")
 
     # ------------------------------------------------------------ one arm
 
@@ -229,8 +222,8 @@ class Together(Generic[Cell]):
         try:
             self.reasons[who] = self._attempts(who, progress)
         except PlantError as error:
-            self.reasons[who], route = str(error), self.traffic.lanes[who].route
-            self.stops.append(str(error))
+            self.stops.append(PlantError(error.stop, f"{self.worked[who].name}: {error.why}"))
+            self.reasons[who], route = str(self.stops[-1]), self.traffic.lanes[who].route
             self.traffic.stopped(who)
         finally:
             self.working[who] = False
@@ -248,6 +241,8 @@ class Together(Generic[Cell]):
             action = known.choose()
             if action is None:
                 return None
+            if self.paused:
+                return PAUSED
             if not isinstance(action, Action) and self._fetch(who, progress):
                 idle = 0
                 continue
@@ -273,6 +268,8 @@ class Together(Generic[Cell]):
 
     def _act(self, who: int, action: Action, progress: Progress) -> bool:
         """One attempt; False where it did not begin."""
+        if not self._may(who, action):
+            return False
         building, world = self.buildings[who], self.buildings[who].world
         before, begin = list(world.state), building.plant.sense().time
         if self.assumes[who] is not None:
@@ -314,6 +311,21 @@ class Together(Generic[Cell]):
         progress(Detail(text))
         return True
 
+    def _may(self, who: int, action: Action) -> bool:
+        """Whether an arm may begin something; it is asked once until it has done something."""
+        key = action.block, action.what
+        if key not in self._allowed[who] and not self.paused:
+            self.paused = not self.go_on(who, action)
+            self._allowed[who].add(key)
+        return not self.paused
+
+    def steps_begun(self, who: int) -> int:
+        """How many steps are done, or under way by the other arm than this one."""
+        known = [building.known for building in self.buildings]
+        done = {step for one in known for step in one.planned if one.satisfied(step)}
+        moves = self.traffic.other(who).route is not None or self.picks[1 - who] is not None
+        return len(done) + moves
+
     def _over(self, who: int, before: list[int], begin: float, end: float) -> None:
         """An attempt is over.
 
@@ -325,6 +337,7 @@ class Together(Generic[Cell]):
         building = self.buildings[who]
         turn = Turn(who, building.known.done[-1], begin, end)
         self.turns.append(turn)
+        self._allowed[who].clear()
         self._changed(who)
         brought = {self.moves[who], *self.along[who]} if self.along[who] else set[int]()
         self._tell(who, _other(before, building.world.state) | brought)

@@ -19,7 +19,7 @@ STATE = "run.jsonl"
 """What a run appends to, in the folder of its plan; gone when everything is done."""
 WORDS = {
     "place": "put {} where it shall be",
-    "remove": "take {} away, out of the hand or its place",
+    "remove": "take {} away",
 }
 """What a person is asked to do."""
 
@@ -32,9 +32,10 @@ WORDS = {
     arg("plan", metavar="PLAN", type=named, help="folder of a build with an arm (l2a build --arm)"),
     arg(
         "--robot",
-        default="sim://",
+        action="append",
         metavar="URL",
-        help="sim:// (the default), ur://HOST, ros2://HOST:PORT or franka://HOST (docs/run.md)",
+        help="sim:// (the default), ur://HOST, ros2://HOST:PORT or franka://HOST (docs/run.md); "
+        "of two arms once for each, in the order of the plan",
     ),
     arg(
         "--layout",
@@ -56,7 +57,7 @@ WORDS = {
 def _run(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where everything is done, or the run was paused as asked; else 1."""
     from learn2assemble.cell.site import Site, read_site
-    from learn2assemble.jobs.run import run
+    from learn2assemble.jobs.run import SIMULATION, run
     from learn2assemble.motion.setup import Surroundings
 
     if options.step and options.until is not None:
@@ -77,9 +78,10 @@ def _run(options: argparse.Namespace, output: Output) -> int:
     around = Surroundings(
         program=site.program, serve=_serve, trust_placements=options.trust_placements
     )
+    robots = options.robot or [SIMULATION]
     ran = run(
         options.plan,
-        options.robot,
+        robots,
         layout=site,
         state=state,
         speed=options.speed,
@@ -92,25 +94,26 @@ def _run(options: argparse.Namespace, output: Output) -> int:
         state.unlink(missing_ok=True)
     result: dict[str, Any] = {
         "design": ran.plan.design.name,
-        "robot": options.robot,
+        "robot": robots[0] if len(robots) == 1 else robots,
         "complete": ran.complete,
         "stop": ran.stop.value,
         "reason": ran.reason,
         "blocks": ran.blocks,
         "seconds": ran.seconds,
         "seconds_a_block": ran.seconds_a_block,
-        "link": to_plain(ran.link._asdict()),
+        "links": [to_plain(link._asdict()) for link in ran.links],
         "state": str(state) if state.exists() else None,
     }
     output.paragraph("complete" if ran.complete else f"{ran.reason}")
     if ran.blocks:
-        link = ran.link
+        who = "both robots" if ran.links[1:] else "the robot"
         output.say(
-            f"{ran.blocks} blocks in {ran.seconds:.0f} s of the robot, "
-            f"{ran.seconds_a_block:.2f} s each"
+            f"{ran.blocks} blocks in {ran.seconds:.0f} s of {who}, {ran.seconds_a_block:.2f} s each"
         )
+    for number, link in enumerate(ran.links if ran.blocks else ()):
         longer = f"{1e3 * link.overhead:.0f} ms longer than planned each"
-        output.say(f"{link.motions} motions, {longer}")
+        arm = f"{ran.plan.arms[number].name}: " if ran.plan.arms else ""
+        output.say(f"{arm}{link.motions} motions, {longer}")
     if not ran.complete and state.exists():
         output.say(f"goes on with `resume=`: {state}")
     output.finish(result)
@@ -131,9 +134,12 @@ def _serve(request: Request) -> None:
     Raises:
         PlantError: where nobody says that it is done.
     """
+    from learn2assemble.jobs.driven import IN_HAND
     from learn2assemble.motion.plant import PlantError, Stop
 
     if request.what in WORDS:
         what = WORDS[request.what].format(request.block)
+        if request.block.startswith(IN_HAND):
+            what = f"take out what the {request.block} holds"
         if not _asked(f"{what}; done? [Y/n] "):
             raise PlantError(Stop.REFUSED, f"nobody did it: {what}")

@@ -22,6 +22,7 @@ from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.cubics import thinned
 from learn2assemble.motion.driver import Driver, driver_of
 from learn2assemble.motion.plant import (
+    BlockReading,
     Guard,
     Motion,
     PlantError,
@@ -138,6 +139,14 @@ class Controller(ABC):
         while any(one.time > now.time for one in blocks) and self.clock.now() < until:
             self._wait()
             now = self._now()
+        return self._readings(now, blocks)
+
+    def latest(self) -> Readings | None:
+        """What was sensed last, without blocks; None: nothing was. Any thread may ask, also while
+        the arm moves."""
+        return None if self._last is None else self._readings(self._last)
+
+    def _readings(self, now: ControllerState, blocks: tuple[BlockReading, ...] = ()) -> Readings:
         state = "stopped" if now.stopped else "moving" if now.moving else "ready"
         return Readings(now.time, now.joints, now.velocity, blocks, now.tool, self.arm.name, state)
 

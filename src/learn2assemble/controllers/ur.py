@@ -222,7 +222,8 @@ class UrPlant(Controller):
                     if why:
                         where = Stop.LOST
                         break
-                    why = self._stopped()
+                    self._last = self._read()
+                    why = self._last.stopped
                     if why:
                         where = Stop.PROTECTIVE
                         break

@@ -333,10 +333,9 @@ def team_plan(
     Raises:
         InputError: for goals and mortar, and for arms that cannot build it together.
     """
-    from learn2assemble.cell.in_turn import build_in_turn
+    from learn2assemble.cell.in_turn import build_by_two
     from learn2assemble.cell.pair import bricks_by_team
     from learn2assemble.cell.team import plan_by_team
-    from learn2assemble.cell.together import build_together
 
     if isinstance(design, Goals):
         raise InputError("goals", f"{len(how.arms)} arms", "one arm, or a design")
@@ -353,9 +352,7 @@ def team_plan(
             plan = plan_by_team(assembly, members, posts=posts, options=options, progress=progress)
         if how.physics == PLANNED or not plan.complete:
             return plan
-        if plan.by_turns:
-            return build_in_turn(plan, members, cell, joint=joint, progress=progress)
-        return build_together(plan, members, cell, joint=joint, progress=progress, order=order)
+        return build_by_two(plan, members, cell, joint=joint, progress=progress, order=order)
 
     if isinstance(design, Assembly):
         if studs:
@@ -394,8 +391,8 @@ def rebuilt_by(how: ArmChoice, plan: Plan, joint: float, progress: Callable[[str
         InputError: for what the arms cannot hold or reach.
     """
     from learn2assemble.cell.carry_out import carry_out
+    from learn2assemble.cell.in_turn import build_by_two
     from learn2assemble.cell.team import told_of
-    from learn2assemble.cell.together import build_together
     from learn2assemble.planning.rebuild import with_copies
 
     if not plan.complete or plan.assembly is None:
@@ -406,7 +403,7 @@ def rebuilt_by(how: ArmChoice, plan: Plan, joint: float, progress: Callable[[str
     assert plan.assembly is not None
     members, cell = _team(plan.assembly, how, False, progress)
     plan = replace(plan, arms=told_of(members))
-    return build_together(plan, members, cell, joint=joint, progress=progress)
+    return build_by_two(plan, members, cell, joint=joint, progress=progress)
 
 
 def _team(

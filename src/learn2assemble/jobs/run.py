@@ -1,7 +1,9 @@
-"""A plan carried out by a robot: attempt by attempt, looked at before and after.
+"""A plan carried out by robots: attempt by attempt, looked at before and after.
 
-The plan says what is built and by which arm; where things are is sensed. Before anything moves the
-robot has to be the arm of the plan, ready, at home and with an empty hand.
+The plan says what is built and by which arms; where things are is sensed. Before anything moves
+each robot has to be the arm of the plan, ready, at home and with an empty hand. Two robots share
+their cell as two simulated arms do: who may move is decided here, and what one of them does the
+other one is told.
 """
 
 from __future__ import annotations
@@ -9,59 +11,39 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from learn2assemble.cell.building import Building, Kept, Prepared
-from learn2assemble.cell.cameras import no_pictures, through_cameras
-from learn2assemble.cell.carry_out import key_of, prepare, setup_of
+from learn2assemble.cell.carry_out import (
+    key_of,
+    no_pictures,
+    prepare,
+    setup_of,
+    through_cameras,
+)
+from learn2assemble.cell.crew import Member
+from learn2assemble.cell.in_turn import two_arms
+from learn2assemble.cell.pair import bricks_by_team
 from learn2assemble.cell.report import Witness, Worked, carried_out, words_of
 from learn2assemble.cell.site import Site, read_site
+from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.state import Action
-from learn2assemble.cell.workcell import Workcell
-from learn2assemble.cell.world import MISSING
-from learn2assemble.errors import InputError
-from learn2assemble.motion.plant import (
-    Guard,
-    Motion,
-    Plant,
-    PlantError,
-    Readings,
-    Report,
-    Request,
-    Stop,
-    ToolCommand,
-    WrappedPlant,
-    standing,
-)
+from learn2assemble.cell.team import set_up_team
+from learn2assemble.cell.together import built_by
+from learn2assemble.cell.workcell import StepOf, Workcell
+from learn2assemble.errors import InputError, check_name
+from learn2assemble.jobs.driven import Link, Timed, check_robot, method_of, take_away
+from learn2assemble.motion.plant import Plant, PlantError, Stop
+from learn2assemble.motion.remote import RemotePlant, in_process
+from learn2assemble.motion.robots import Robots
 from learn2assemble.motion.safety import Guarded
-from learn2assemble.motion.setup import Setup, Surroundings, check_address, open_plant
-from learn2assemble.motion.trust import Trusted
+from learn2assemble.motion.setup import WALL, Setup, Surroundings, check_address, open_plant
+from learn2assemble.motion.trust import Placements, Trusted
 from learn2assemble.planning.plan import Plan, load_plan
-from learn2assemble.values import rounded
 
 SIMULATION = "sim://"
-IN_HAND = "hand"
-"""Name of a block nobody knows, which is in the hand when a run begins."""
-AT_HOME = 0.05
-"""No joint may be farther from where a build begins [rad]."""
-
-
-class Link(NamedTuple):
-    """How a controller was driven."""
-
-    motions: int = 0
-    """That were sent."""
-    moving: float = 0.0
-    """What they were to take together [s of the plant's clock]."""
-    overhead: float = 0.0
-    """What a motion took longer than that, on average [s of the plant's clock]."""
-    latency: float = 0.0
-    """Until the plant said what it senses, on average [s of this machine]."""
-    rate: float | None = None
-    """New states in a second, where the plant tells."""
 
 
 class Ran(NamedTuple):
@@ -70,15 +52,21 @@ class Ran(NamedTuple):
     plan: Plan
     """The plan as far as it was carried out."""
     stop: Stop
-    """Why it ended: :attr:`~learn2assemble.motion.plant.Stop.END` where nothing went wrong with the
-    robot, also where the run was paused or the arm can go on with nothing."""
+    """Why it ended: :attr:`~learn2assemble.motion.plant.Stop.END` where nothing went wrong with a
+    robot, also where the run was paused or the arms can go on with nothing."""
     reason: str | None
     """In words; None where everything is done."""
     blocks: int
-    """That the robot placed or took away in this run."""
+    """That robots placed or took away in this run."""
     seconds: float
-    """How long the robot took for that [s of its clock]."""
-    link: Link
+    """How long they took for that [s of their clock]."""
+    links: tuple[Link, ...]
+    """How each was driven, in the order of the arms of the plan."""
+
+    @property
+    def link(self) -> Link:
+        """Of the robot, or the first one."""
+        return self.links[0]
 
     @property
     def complete(self) -> bool:
@@ -87,61 +75,37 @@ class Ran(NamedTuple):
 
     @property
     def seconds_a_block(self) -> float | None:
-        """Of the robot's clock [s]."""
+        """Of the clock of the robots [s]."""
         return round(self.seconds / self.blocks, 2) if self.blocks else None
 
 
-class _Timed(WrappedPlant):
-    """A plant, and how long it takes.
+class _RunOrder(NamedTuple):
+    """What is asked of a run, whoever carries it out."""
 
-    Args:
-        plant: the one behind it.
-    """
+    plan: Plan
+    site: Site
+    file: Path | None
+    speed: float
+    confirm: Callable[[int, str], bool]
+    around: Surroundings
+    progress: Callable[[str], None]
 
-    def __init__(self, plant: Plant) -> None:
-        super().__init__(plant)
-        self.motions = self.looks = 0
-        self.moving = self.took = self.waited = 0.0
-        self.first = self.last = -1.0
+    def check_seen(self, robots: Sequence[str | Plant]) -> None:
+        """Refuse cameras whose pictures nobody takes.
 
-    def sense(self) -> Readings:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        begun = time.perf_counter()
-        found = self.plant.sense()
-        self.waited, self.looks = self.waited + time.perf_counter() - begun, self.looks + 1
-        self.first = found.time if self.first < 0 else self.first
-        self.last = found.time
-        return found
-
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
-        report = self.plant.execute(motion, commands, guards)
-        if report.stop is Stop.END and motion.seconds:
-            self.motions += 1
-            self.moving += motion.seconds
-            self.took += report.seconds
-        return report
-
-    def link(self, plant: Plant) -> Link:
-        """The figures; the plant may know more."""
-        count, rate = max(self.motions, 1), _of(plant, "rate")
-        return Link(
-            self.motions,
-            round(self.moving, 2),
-            round((self.took - self.moving) / count, 4),
-            round(self.waited / max(self.looks, 1), 5),
-            None if rate is None else rate(),
-        )
+        Raises:
+            InputError: for these.
+        """
+        around, cameras = self.around, self.site.cameras
+        sees = around.trust_placements or around.look is not None or around.pictures is not None
+        far = any(isinstance(one, str) and not one.startswith(SIMULATION) for one in robots)
+        if cameras and not sees and far:
+            raise no_pictures(cameras)
 
 
 def run(
     plan: Plan | str | Path,
-    robot: str | Plant = SIMULATION,
+    robot: str | Plant | Sequence[str | Plant] = SIMULATION,
     *,
     layout: str | Path | Site | None = None,
     state: str | Path | None = None,
@@ -150,21 +114,24 @@ def run(
     around: Surroundings | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Ran:
-    """Carry out a plan with a robot, or go on with it.
+    """Carry out a plan with a robot, or with two, or go on with it.
 
     Args:
-        plan: that an arm can carry out, complete, as :func:`~learn2assemble.jobs.build.build` with
+        plan: that arms can carry out, complete, as :func:`~learn2assemble.jobs.build.build` with
             ``arm=`` makes it; or its folder.
-        robot: address of the controller, as ``ur://192.168.0.2``, or a plant; ``sim://`` simulates.
-            A plant that is given is not closed.
+        robot: address of the controller, as ``ur://192.168.0.2``, or a plant; ``sim://`` simulates,
+            also two arms together. Of a plan of two arms, else, one of these for each, in their
+            order; each controller is driven by a process of its own. A plant that is given is not
+            closed.
         layout: the workcell, see ``docs/layouts.md``; by default the one that is chosen for the
-            base of the plan. Its sections ``program`` and ``safety`` hold for the robot.
+            bases of the plan. Its sections ``program`` and ``safety`` hold for the robots.
         state: file that is appended to after every attempt; where it exists, the run goes on from
             it, and from what is sensed.
         speed: share of the planned speed, above 0 and up to 1.
-        confirm: asked before every attempt, with the number of steps that are done and with what
-            comes next in words; where it says no, the run pauses.
-        around: what sees blocks, what serves the cell, and how long silence may last.
+        confirm: asked before every attempt, with the number of steps that are done or under way
+            and with what comes next in words; where it says no, the run pauses.
+        around: what sees blocks, what serves the cell, and how long silence may last. With two
+            robots ``look`` tells times by its ``clock``.
         progress: is told how far it has come.
 
     Raises:
@@ -172,62 +139,74 @@ def run(
             arm or a wrong address, and a file of another run.
         MissingExtraError: without the extra of the controller, or ``robot``.
     """
-    if isinstance(robot, str):
-        check_address(robot)
+    robots = _each(robot)
+    for one in robots:
+        if isinstance(one, str):
+            check_address(one)
     if not isinstance(plan, Plan):
         plan = load_plan(plan)
-    if plan.arm is None or plan.assembly is None or not plan.complete:
-        who = f"by {len(plan.arms)} arms" if plan.arms else "without an arm"
-        got = f"{plan.status}, {who if plan.arm is None else plan.arm.name}"
-        raise InputError("plan", got, "a complete plan of an arm (`arm=`)")
+    count = len(plan.arms) or int(plan.arm is not None)
+    if not count or plan.assembly is None or not plan.complete:
+        got = f"{plan.status}, {count or 'no'} arm{'s' * (count != 1)}"
+        raise InputError("plan", got, "a complete plan of an arm, or of two (`arm=`)")
     if not 0 < speed <= 1:
         raise InputError("speed", speed, "a share, above 0 and at most 1")
+    if len(robots) != count and robots != [SIMULATION]:
+        arms = ", ".join(one.name for one in plan.arms) or "one arm"
+        raise InputError("robot", f"{len(robots)} of them", f"one for each arm of the plan: {arms}")
+    if count > 1 and len(robots) > 1 and SIMULATION in robots:
+        raise InputError("robot", f"{SIMULATION} as one of two", "it alone, for both arms")
     site = layout if isinstance(layout, Site) else Site()
     if isinstance(layout, str | Path):
         site = read_site(Path(layout))
+    file = None if state is None else Path(state)
+    around = around or Surroundings(program=site.program)
+    order = _RunOrder(plan, site, file, speed, confirm, around, progress)
+    if count > 1:
+        return _run_two(order, robots)
+    (one,) = robots
+    return _run_one(order, one)
+
+
+def _each(robot: str | Plant | Sequence[str | Plant]) -> list[str | Plant]:
+    """One or several, as a list."""
+    if isinstance(robot, str) or not isinstance(robot, Sequence):
+        return [robot]
+    return [*robot]
+
+
+# ---------------------------------------------------------------- one robot
+
+
+def _run_one(order: _RunOrder, robot: str | Plant) -> Ran:
+    plan, site = order.plan, order.site
+    assert plan.arm is not None
     if site.base is None:
         site = replace(site, base=plan.arm.base)
-    file = None if state is None else Path(state)
     by_hand = any(step.by_hand for step in plan.steps)
-    workcell = Workcell(plan.arm.name, plan.arm.tool, site=site, log=file, hands=by_hand)
-    progress("planning the order of the arm")
-    found = prepare(plan, workcell, 1e-4, progress)
+    workcell = Workcell(plan.arm.name, plan.arm.tool, site=site, log=order.file, hands=by_hand)
+    order.progress("planning the order of the arm")
+    found = prepare(plan, workcell, 1e-4, order.progress)
     job = found.job
     if found.order.stuck:
         number, why = next(iter(found.order.stuck.items()))
         raise InputError("plan", f"{job.pieces[number].id}: {why}", "blocks that the arm can place")
-    around = around or Surroundings(program=site.program)
-    sees = around.trust_placements or around.look is not None or around.pictures is not None
-    if site.cameras and not sees and isinstance(robot, str) and not robot.startswith(SIMULATION):
-        raise no_pictures(site.cameras)
-    setup = setup_of(job, workcell, found.structure)._replace(around=around)
-    progress(f"connecting to {robot}" if isinstance(robot, str) else "connecting")
-    nothing = Ran(plan, Stop.END, None, 0, 0.0, Link())
+    order.check_seen([robot])
+    setup = setup_of(job, workcell, found.structure)._replace(around=order.around)
+    order.progress(f"connecting to {robot}" if isinstance(robot, str) else "connecting")
     plant: Plant | None = None
     try:
         plant = open_plant(robot, setup) if isinstance(robot, str) else robot
-        return _run(plan, found, workcell, plant, setup, speed, confirm, progress)
+        return _by_one(order, found, workcell, plant, setup)
     except PlantError as error:
-        return nothing._replace(stop=error.stop, reason=str(error))
+        return Ran(plan, error.stop, str(error), 0, 0.0, (Link(),))
     finally:
         if plant is not None and isinstance(robot, str):
             plant.close()
 
 
-def _of(plant: Plant, name: str) -> Callable[..., Any] | None:
-    """What some plants can do besides; None where this one cannot."""
-    return getattr(plant, name, None)
-
-
-def _run(
-    plan: Plan,
-    found: Prepared,
-    workcell: Workcell,
-    plant: Plant,
-    setup: Setup,
-    speed: float,
-    confirm: Callable[[int, str], bool],
-    progress: Callable[[str], None],
+def _by_one(
+    order: _RunOrder, found: Prepared, workcell: Workcell, plant: Plant, setup: Setup
 ) -> Ran:
     """The run with a plant that is there."""
     started, job = time.perf_counter(), found.job
@@ -235,92 +214,177 @@ def _run(
         seeing: Plant = Trusted(plant, setup)
     else:
         seeing = through_cameras(plant, setup, job.pieces, workcell.site.cameras)
-    timed = _Timed(Guarded(seeing, job.arm, workcell.site.safety, speed))
-    _check_robot(timed, setup, bool(workcell.log and workcell.log.exists()))
-    save, restore = _of(seeing, "state"), _of(seeing, "restore")
+    timed = Timed(Guarded(seeing, job.arm, workcell.site.safety, order.speed))
+    check_robot(timed, setup, bool(workcell.log and workcell.log.exists()))
+    save, restore = method_of(seeing, "state"), method_of(seeing, "restore")
     kept = None if save is None or restore is None else Kept(save, restore)
-    words, witness = words_of(job, workcell), Witness(plant)
-    building = Building(found, workcell, timed, words, key_of(plan, workcell), kept, witness)
+    words, witness, key = words_of(job, workcell), Witness(plant), key_of(order.plan, workcell)
+    building = Building(found, workcell, timed, words, key, kept, witness)
     known = building.known
     if setup.around.trust_placements:
-        _take_away(timed, setup, building)
+        take_away(timed, setup, building)
 
     def satisfied() -> int:
         return sum(known.satisfied(step) for step in known.planned)
 
     def go_on(action: Action) -> bool:
-        return confirm(satisfied(), f"{action.what} {building.world.pieces[action.block].id}")
+        what = f"{action.what} {building.world.pieces[action.block].id}"
+        return order.confirm(satisfied(), what)
 
-    def by_robot() -> int:
-        own = (s for s in known.planned if s not in known.by_hand and not s.group)
-        return sum(known.satisfied(step) for step in own)
-
-    before, begun = by_robot(), timed.last
-    reason = building.run(progress, go_on)
+    before, begun = _by_robots([building]), timed.last
+    reason = building.run(order.progress, go_on)
     took = time.perf_counter() - started
-    done = carried_out(plan, [Worked(building, workcell, witness)], reason, took, plant)
-    seconds, placed = max(timed.last - begun, 0.0), by_robot() - before
-    return Ran(done, building.stopped, reason, placed, round(seconds, 2), timed.link(plant))
+    done = carried_out(order.plan, [Worked(building, workcell, witness)], reason, took, plant)
+    seconds, placed = max(timed.last - begun, 0.0), _by_robots([building]) - before
+    links = (timed.link(plant),)
+    return Ran(done, building.stopped, reason, placed, round(seconds, 2), links)
 
 
-def _check_robot(plant: Plant, setup: Setup, resumed: bool) -> None:
-    """Whether this is the robot of the plan, and may begin.
+def _by_robots(buildings: Sequence[Building]) -> int:
+    """How many steps are done that robots do."""
+    known = [building.known for building in buildings]
+    return len(
+        {
+            step
+            for one in known
+            for step in one.planned
+            if step not in one.by_hand and not step.group and one.satisfied(step)
+        }
+    )
+
+
+# ---------------------------------------------------------------- two robots
+
+
+def _run_two(order: _RunOrder, robots: Sequence[str | Plant]) -> Ran:
+    plan, site = order.plan, order.site
+    assert plan.assembly is not None
+    far = list(robots) != [SIMULATION]
+    if far and any(step.action == "hold" for step in plan.steps):
+        # What a hand presses with is less than a robot tells from noise.
+        raise InputError("robot", ", ".join(map(str, robots)), f"{SIMULATION}: steps hold a block")
+    if site.cameras and order.around.look is None and not order.around.trust_placements:
+        raise InputError("layout", "cameras", "none, for several arms")
+    order.progress("looking where the arms stand and where blocks wait")
+    members = set_up_team(plan.assembly, _arms(plan, site), replace(site, arms=()), order.progress)
+    first = members[0].job.arm
+    workcell = Workcell(first.name, first.tool_name, site=site, log=order.file, hands=True)
+    steps: tuple[StepOf, ...] | None = None
+    if plan.assembly.holds:
+        plan, steps = bricks_by_team(plan.assembly, members, workcell, order.progress)
+        if not plan.complete:
+            raise InputError("plan", plan.reason, "blocks that the arms can place")
+    cell = _CellOfTwo(order._replace(plan=plan), members, robots if far else ())
+    try:
+        both = two_arms(
+            plan,
+            members,
+            workcell,
+            progress=order.progress,
+            order=steps,
+            opened=cell.opened,
+            through=cell.through,
+        )
+        names = [one.name for one in members]
+
+        def go_on(who: int, action: Action) -> bool:
+            block = both.buildings[who].world.pieces[action.block].id
+            return order.confirm(both.steps_begun(who), f"{action.what} {block} ({names[who]})")
+
+        both.go_on = go_on
+        if order.around.trust_placements:
+            take_away(cell.driven[0], cell.setups[0], both.buildings[0])
+        started, before = time.perf_counter(), _by_robots(both.buildings)
+        count, begun = len(both.turns), both.plant.sense().time
+        done, reason = built_by(both, plan, order.progress, started)
+        ends = [turn.end for turn in both.turns[count:]]
+        stop = both.stops[0].stop if reason and both.stops else Stop.END
+        seconds, placed = max(ends, default=begun) - begun, _by_robots(both.buildings) - before
+        return Ran(done, stop, reason, placed, round(seconds, 2), cell.links())
+    except PlantError as error:
+        return Ran(plan, error.stop, str(error), 0, 0.0, (Link(), Link()))
+    finally:
+        cell.close()
+
+
+def _arms(plan: Plan, site: Site) -> list[SiteArm]:
+    """The arms of a plan, where the layout has them or where they stood."""
+    known = {one.name: one for one in site.arms}
+    found = list[SiteArm]()
+    for told in plan.arms:
+        if known:
+            check_name("arm of the plan, in the layout", told.name, known)
+        one = known.get(told.name, SiteArm(told.name, told.arm))
+        if one.arm != told.arm:
+            raise InputError(f"arm {told.name} of the layout", one.arm, f"{told.arm}, as planned")
+        found.append(one._replace(tool=told.tool, base=one.base or told.base))
+    return found
+
+
+class _CellOfTwo:
+    """The cell of two arms, as a run drives it.
 
     Args:
-        resumed: it may stand anywhere, as an interruption has left it.
-
-    Raises:
-        PlantError: where it is not.
+        order: what is asked.
+        members: the arms.
+        robots: what drives each; none: a simulation has both.
     """
-    arm, now = setup.arm, plant.sense()
-    if now.arm != arm.name or now.joints.shape != arm.home.shape:
-        got = f"{now.arm!r} with {len(now.joints)} joints"
-        raise PlantError(Stop.REFUSED, f"the robot is {got}, the plan is for {arm.name}")
-    if now.state == "stopped":
-        raise PlantError(Stop.PROTECTIVE, "the robot is stopped; clear that first")
-    if now.state == "moving":
-        raise PlantError(Stop.REFUSED, "the robot is moving already")
-    if not arm.inside_limits(now.joints):
-        raise PlantError(Stop.REFUSED, f"joints {_list(now.joints)} are beyond their limits")
-    off = np.abs(now.joints - arm.home)
-    if not resumed and off.max() > AT_HOME:
-        worst = int(off.argmax())
-        why = f"the arm is not at home: {arm.joints[worst]} is {off[worst]:.2f} rad away"
-        raise PlantError(Stop.REFUSED, f"{why}; home is {_list(arm.home)}")
-    if now.tool.vacuum or (now.tool.grip or 0.0) > 0:
-        _empty_hand(plant, setup, now)
 
+    def __init__(
+        self, order: _RunOrder, members: Sequence[Member], robots: Sequence[str | Plant]
+    ) -> None:
+        self.order, self.robots = order, robots
+        self.names: list[str] = [one.name for one in members]
+        self.setups: list[Setup] = []
+        """Of each arm alone."""
+        self.driven: list[Timed] = []
+        self.own: list[RemotePlant] = []
+        """Plants that were opened for the run."""
+        self.cell: Any = None
 
-def _empty_hand(plant: Plant, setup: Setup, now: Readings) -> None:
-    """What an interruption has left in the hand is taken out of it by a person, where it stands."""
-    why = "the hand holds something: take it out, and run again"
-    if setup.around.serve is None:
-        raise PlantError(Stop.REFUSED, why)
-    plant.request(Request("remove", IN_HAND, IN_HAND, np.array([0.0, 0, 0, 1, 0, 0, 0])))
-    told = ToolCommand(vacuum=False)
-    if setup.arm.suction is None:
-        told = ToolCommand(width=setup.arm.gripper.max_width, speed=setup.arm.gripper.speed)
-    plant.execute(standing("release", now.joints, 0.5), (told,))
-    tool = plant.sense().tool
-    if tool.vacuum or (tool.grip or 0.0) > 0:
-        raise PlantError(Stop.REFUSED, why)
+    def opened(self, setup: Setup) -> Any:
+        """See :class:`~learn2assemble.cell.together.Together`: all robots are there, and ready."""
+        around, setup = self.order.around, setup._replace(around=self.order.around)
+        arms = (setup.arm, *setup.others)
+        self.setups = [setup._replace(arm=arm, others=()) for arm in arms]
+        known = Placements(setup) if around.trust_placements else None
+        if not self.robots:
+            self.cell = open_plant(SIMULATION, setup)
+        else:
+            plants = [self._open(*one) for one in zip(self.robots, self.setups, strict=True)]
+            self.cell = Robots(plants, around, known)
+        resumed = bool(self.order.file and self.order.file.exists())
+        for name, plant, own in zip(self.names, self.cell.plants, self.setups, strict=True):
+            seeing = plant if known is None else Trusted(plant, own, known)
+            guarded = Guarded(seeing, own.arm, self.order.site.safety, self.order.speed)
+            self.driven.append(Timed(guarded))
+            try:
+                check_robot(self.driven[-1], own, resumed, name)
+            except PlantError as error:
+                raise PlantError(error.stop, f"{name}: {error.why}") from None
+        return self.cell
 
+    def through(self, who: int, plant: Plant) -> Plant:
+        """See :class:`~learn2assemble.cell.together.Together`."""
+        return self.driven[who]
 
-def _take_away(plant: Plant, setup: Setup, building: Building) -> None:
-    """Where nothing sees blocks, a person takes away those that an interruption has left anywhere,
-    perhaps in their places.
+    def _open(self, robot: str | Plant, setup: Setup) -> Plant:
+        """The plant of a robot; behind an address in a process of its own, so that it is watched
+        whatever this one is busy with."""
+        if not isinstance(robot, str):
+            return robot
+        self.order.progress(f"connecting to {robot}")
+        bare = setup.around._replace(look=None, pictures=None, serve=None, clock=WALL)
+        plant = in_process(partial(open_plant, robot), setup._replace(around=bare))
+        self.own.append(plant)
+        return plant
 
-    Raises:
-        PlantError: where there is nobody who could.
-    """
-    world = building.world
-    missing = [k for k, state in enumerate(world.state) if state == MISSING]
-    if missing and setup.around.serve is None:
-        names = ", ".join(world.names[k] for k in missing)
-        raise PlantError(Stop.REFUSED, f"nobody can say where {names} is; take it away")
-    for k in missing:
-        plant.request(Request("remove", world.names[k], world.pieces[k].id, world.target(k)))
+    def links(self) -> tuple[Link, ...]:
+        """How each robot was driven."""
+        both = zip(self.driven, self.cell.plants, strict=True)
+        return tuple(timed.link(plant) for timed, plant in both)
 
-
-def _list(joints: np.ndarray) -> str:
-    return f"[{', '.join(f'{rounded(value, 3):.3f}' for value in joints)}]"
+    def close(self) -> None:
+        """Give back what was opened."""
+        for plant in self.own:
+            plant.close()
