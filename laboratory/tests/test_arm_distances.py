@@ -589,7 +589,9 @@ def test_the_command_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     words += ["--no-video", "--out", str(tmp_path / "out")]
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         with monkeypatch.context() as patch:
-            patch.setattr(together, "open_plant", lambda _, setup: StoppedCell(setup, Pressed(0, 3.0)))
+            patch.setattr(
+                together, "open_plant", lambda _, setup: StoppedCell(setup, Pressed(0, 3.0))
+            )
             assert main(words) == 1
         state = tmp_path / "out" / "build.jsonl"
         assert state.exists()
