@@ -74,7 +74,7 @@ def _together(bricks: Assembly, started: float) -> Result:
         return cells[-1]
 
     both = Together(gather(plan, members, workcell, 0.0, order), opened)
-    done = built_by(both, plan, lambda text: None, time.perf_counter())
+    done, _ = built_by(both, plan, lambda text: None, time.perf_counter())
     least = cells[0].least()
     alone = sum(turn.end - turn.begin for turn in both.turns)
     return {
