@@ -4,6 +4,7 @@ as the machine lets them."""
 from __future__ import annotations
 
 import contextlib
+import json
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -19,11 +20,13 @@ import pytest
 import learn2assemble as l2a
 from learn2assemble.cell.carry_out import setup_of
 from learn2assemble.cell.pair import gather
+from learn2assemble.cell.pieces import pieces_of
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import set_up_team
 from learn2assemble.cell.traffic import Traffic
 from learn2assemble.cell.workcell import Workcell
+from learn2assemble.cli import main
 from learn2assemble.errors import InputError, Learn2AssembleError
 from learn2assemble.jobs.run import Ran, run
 from learn2assemble.motion.plant import (
@@ -47,6 +50,7 @@ from learn2assemble.robot.capsules import apart, capsules_of
 from learn2assemble.robot.capsules import placed as lines_at
 from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.simulation.kinematic_plant import KinematicPlant
+from test_controllers import PATIENT, begin
 
 FAST = 60.0
 """Seconds of a robot in one of this machine."""
@@ -309,6 +313,23 @@ def test_a_run_of_two_pauses_and_goes_on(tmp_path: Path) -> None:
     assert max(two.errors()) < 1e-3
 
 
+def test_the_command_runs_two_arms_in_the_simulation(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pair_plan(12, 2).save(tmp_path, page=False)
+    assert main(["run", str(tmp_path), "--json", "--until", "2"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["reason"], said["blocks"]) == ("paused", 2)
+    assert main(["run", str(tmp_path), "--json", "--resume"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["complete"]
+    assert said["blocks"] == len(pair_plan(12, 2).steps) - 2
+    assert said["seconds"] > 0
+    assert [link["motions"] > 5 for link in said["links"]] == [True, True]
+    assert main(["run", str(tmp_path), "--robot", "ur://127.0.0.1:9"]) == 2
+    assert "one for each arm of the plan: ur5e, panda" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("stage", ["approach", "cross", "retreat"])
 def test_where_one_controller_is_lost_the_other_arm_goes_on(stage: str, tmp_path: Path) -> None:
     two, state = Two(pair_plan()), tmp_path / "run.jsonl"
@@ -342,6 +363,90 @@ def test_an_error_of_the_side_that_decides_stops_both() -> None:
         two.run(progress=progress)
     assert all(robot.doing is None for robot in two.robots)
     assert len(two.placed()) < 4
+
+
+# ---------------------------------------------------------------- real client libraries
+
+
+class FakeControllers:
+    """Two fake controllers of Universal Robots, each with a dynamic cell of its own, in which what
+    the other arm has put down is put, too.
+
+    Args:
+        plan: that they carry out.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        assert plan.assembly is not None
+        self.own, self.lock = setups_of(plan), threading.RLock()
+        self.targets = {piece.id: piece.target for piece in pieces_of(plan.assembly)}
+        self.fakes = [begin("ur") for _ in self.own]
+        for fake, setup in zip(self.fakes, self.own, strict=True):
+            fake.cell(setup)
+            fake.ask = self.locked(fake.ask)
+
+    def locked(self, ask: Callable[..., Any]) -> Callable[..., Any]:
+        """Threads of both runs ask."""
+
+        def one_at_a_time(op: str, **given: Any) -> Any:
+            with self.lock:
+                return ask(op, **given)
+
+        return one_at_a_time
+
+    def plants(self) -> list[Plant]:
+        """A connection to each."""
+        found = list[Plant]()
+        for fake, setup in zip(self.fakes, self.own, strict=True):
+            told = Surroundings(patience=50.0, silence=PATIENT, answer=PATIENT, clock=fake.clock)
+            address = f"ur://{fake.host}:{fake.ports['script']}"
+            found.append(open_plant(address, Setup(setup.arm, {}, {}, around=told)))
+        return found
+
+    def poses(self, who: int) -> dict[str, np.ndarray]:
+        """float64[3] of the blocks in a cell [m]."""
+        return {n: np.array(p[:3]) for n, p in self.fakes[who].ask("state")["poses"].items()}
+
+    def error(self, name: str, pose: np.ndarray) -> float:
+        """How far a block is from its place [m]."""
+        return float(np.linalg.norm(pose - self.targets[name]))
+
+    def serve(self, request: Request) -> None:
+        """A magazine of one of the arms: the one whose base is nearer."""
+        what, name, kind, pose = request
+        away = [np.linalg.norm(s.arm.base_position[:2] - pose[:2]) for s in self.own]
+        who = int(np.argmin(away))
+        mine, other = self.fakes[who], self.poses(1 - who)
+        there = self.poses(who)
+        for block, at in other.items():
+            if block not in there and self.error(block, at) < 3e-3:
+                where = [*at.tolist(), 1.0, 0.0, 0.0, 0.0]
+                mine.ask("request", what="place", block=block, kind=block, pose=where)
+        mine.ask("request", what=what, block=name, kind=kind, pose=pose.tolist())
+
+
+def test_two_controllers_of_universal_robots_build_together() -> None:
+    cells = np.ones((20, 2, 1), bool)
+    plan = l2a.build(
+        cells, kit="bricks-lintels", arm=("ur5e", "ur5e"), physics="kinematic", cell=0.032
+    )
+    two = FakeControllers(plan)
+    plants = two.plants()
+    try:
+        around = Surroundings(trust_placements=True, serve=two.serve)
+        ran = run(plan, plants, around=around)
+        assert ran.complete, ran.reason
+        assert ran.blocks == len(plan.steps)
+        assert [link.motions > 0 for link in ran.links] == [True, True]
+        found = two.poses(0) | two.poses(1)
+        assert found.keys() == two.targets.keys()
+        assert max(two.error(*one) for one in found.items()) < 3e-3
+        assert [fake.ask("state")["odd"] for fake in two.fakes] == [[], []]
+    finally:
+        for plant in plants:
+            plant.close()
+        for fake in two.fakes:
+            fake.close()
 
 
 # ---------------------------------------------------------------- one decides at a time

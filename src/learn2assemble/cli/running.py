@@ -111,7 +111,7 @@ def _run(options: argparse.Namespace, output: Output) -> int:
             f"{ran.blocks} blocks in {ran.seconds:.0f} s of {who}, {ran.seconds_a_block:.2f} s each"
         )
     for number, link in enumerate(ran.links if ran.blocks else ()):
-        longer = f"{1e3 * link.overhead:.0f} ms longer than planned each"
+        longer = f"{round(1e3 * link.overhead)} ms longer than planned each"
         arm = f"{ran.plan.arms[number].name}: " if ran.plan.arms else ""
         output.say(f"{arm}{link.motions} motions, {longer}")
     if not ran.complete and state.exists():

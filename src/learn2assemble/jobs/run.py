@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from learn2assemble.cell.building import Building, Kept, Prepared
 from learn2assemble.cell.carry_out import (
@@ -44,6 +44,7 @@ from learn2assemble.motion.trust import Placements, Trusted
 from learn2assemble.planning.plan import Plan, load_plan
 
 SIMULATION = "sim://"
+T = TypeVar("T")
 
 
 class Ran(NamedTuple):
@@ -340,6 +341,7 @@ class _CellOfTwo:
         self.driven: list[Timed] = []
         self.own: list[RemotePlant] = []
         """Plants that were opened for the run."""
+        self.known: Placements | None = None
         self.cell: Any = None
 
     def opened(self, setup: Setup) -> Any:
@@ -347,30 +349,40 @@ class _CellOfTwo:
         around, setup = self.order.around, setup._replace(around=self.order.around)
         arms = (setup.arm, *setup.others)
         self.setups = [setup._replace(arm=arm, others=()) for arm in arms]
-        known = Placements(setup) if around.trust_placements else None
+        self.known = Placements(setup) if around.trust_placements else None
         if not self.robots:
             self.cell = open_plant(SIMULATION, setup)
         else:
-            plants = [self._open(*one) for one in zip(self.robots, self.setups, strict=True)]
-            self.cell = Robots(plants, around, known)
+            plants = [self._told(who, self._open, who) for who in range(len(arms))]
+            self.cell = Robots(plants, around, self.known)
         resumed = bool(self.order.file and self.order.file.exists())
-        for name, plant, own in zip(self.names, self.cell.plants, self.setups, strict=True):
-            seeing = plant if known is None else Trusted(plant, own, known)
-            guarded = Guarded(seeing, own.arm, self.order.site.safety, self.order.speed)
-            self.driven.append(Timed(guarded))
-            try:
-                check_robot(self.driven[-1], own, resumed, name)
-            except PlantError as error:
-                raise PlantError(error.stop, f"{name}: {error.why}") from None
+        for who, plant in enumerate(self.cell.plants):
+            stack, own, name = self._stack(who, plant), self.setups[who], self.names[who]
+            self._told(who, check_robot, stack, own, resumed, name)
         return self.cell
+
+    def _told(self, who: int, method: Callable[..., T], *given: Any) -> T:
+        """What a method returns; an error of a plant says of which arm that is."""
+        try:
+            return method(*given)
+        except PlantError as error:
+            raise PlantError(error.stop, f"{self.names[who]}: {error.why}") from None
 
     def through(self, who: int, plant: Plant) -> Plant:
         """See :class:`~learn2assemble.cell.together.Together`."""
+        self.driven.append(self._stack(who, plant))
         return self.driven[who]
 
-    def _open(self, robot: str | Plant, setup: Setup) -> Plant:
+    def _stack(self, who: int, plant: Plant) -> Timed:
+        """What an arm is driven through."""
+        own = self.setups[who]
+        seeing = plant if self.known is None else Trusted(plant, own, self.known)
+        return Timed(Guarded(seeing, own.arm, self.order.site.safety, self.order.speed))
+
+    def _open(self, who: int) -> Plant:
         """The plant of a robot; behind an address in a process of its own, so that it is watched
         whatever this one is busy with."""
+        robot, setup = self.robots[who], self.setups[who]
         if not isinstance(robot, str):
             return robot
         self.order.progress(f"connecting to {robot}")

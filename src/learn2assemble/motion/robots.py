@@ -124,12 +124,16 @@ class Robots:
 
     def state(self) -> dict[str, Any]:
         """What the file of a build keeps, from which another one goes on."""
-        return {} if self.known is None else self.known.state()
+        known = None if self.known is None else self.known.state()
+        return {"time": self.sense().time, "known": known}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """As :meth:`state` said."""
-        if self.known is not None:
-            self.known.restore(state)
+        """As :meth:`state` said; times go on from those of the file."""
+        later = state["time"] - self.sense().time
+        for one in self.plants:
+            one.ahead += later
+        if self.known is not None and state["known"] is not None:
+            self.known.restore(state["known"])
 
 
 class OneOfRobots(WrappedPlant):
