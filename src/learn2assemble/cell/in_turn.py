@@ -9,6 +9,7 @@ An arm that cannot go on, or is stopped, goes on holding.
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -50,6 +51,8 @@ from learn2assemble.statics.states import State
 
 MOST = 12
 """Ways of an arm to bring a block that are tried."""
+LOOKS = 10
+"""After so many turns a hand that presses looks how its block is in it."""
 MOVED = 5e-5
 """A block that the hand which holds it has moved farther is told to be elsewhere [m]."""
 SIDES = 12
@@ -391,7 +394,16 @@ class InTurn(Together[Cell]):
             known = sight.in_hand(), world.drawn(k), self._against(who, k)
             block = world.pieces[k]
             hold = PressingHand(run, building.job.arm, *known, building.ways.force, block.mass)
-            self._meanwhile(hold.press)
+            turns = itertools.count(1)
+
+            def press(keeps: bool = True) -> None:
+                if next(turns) % LOOKS == 0:
+                    # What is pressed with slips, and tilts about the lip.
+                    run.rig.senses.look()
+                    hold.in_hand = sight.in_hand()
+                hold.press(keeps)
+
+            self._meanwhile(lambda: press(False))
             taken = self.holds[1 - who] is not None
             self.now += 2
             while (self.steps[self.now].action, self.steps[self.now].block) != ("release", k):
@@ -399,11 +411,11 @@ class InTurn(Together[Cell]):
                     sight.let_go()  # It stands in its place, whoever takes it over.
                     raise PlantError(Stop.REFUSED, f"{self.over}; it holds {block.id}")
                 if taken and self.holds[1 - who] is None:
-                    self._meanwhile(hold.press)
+                    self._meanwhile(press)
                     taken = False
                 self.plant.loosen()
                 # The other hand lets go of what leans on this one, or brings what it is to bear.
-                (hold.press if taken else hold.stay)()
+                (press if taken else hold.stay)()
                 pose = sight.held_pose(building.plant.sense().joints)
                 if np.abs(pose[:3] - world.pose[k, :3]).max() > MOVED:
                     # The next block is put where this one is by then.
