@@ -26,7 +26,9 @@ from learn2assemble.cell.in_turn import (
 )
 from learn2assemble.cell.pressing import (
     AT_ONCE,
+    BETWEEN,
     FARTHEST,
+    NARROWER,
     SHARES,
     TURNS,
     PressingHand,
@@ -407,6 +409,32 @@ def test_a_hand_presses_until_it_feels_the_force(newtons: float, wall: float) ->
     for _ in range(TURNS):
         hold.stay()
     assert springs.presses == pytest.approx(newtons, rel=0.1)
+
+
+@pytest.mark.parametrize("needed", [6.0, 12.0])
+def test_a_hand_that_keeps_its_place_finds_the_force_for_that(needed: float) -> None:
+    """Half an arch leans on it with as much as it does; with the force of the proof it would be
+    pushed away, or sink."""
+    springs = Springs(np.array([0.6, 0.0, -0.8]), wall=1e4)
+    hold = held(springs, 10.0)
+    # So far from its place the soft wall gives as much as is needed.
+    hold.pose[:3] += springs.way * (needed / springs.wall + NARROWER)
+    for _ in range(3 * TURNS):
+        hold.press(keeps=True)
+    there = forward(get_chain(springs.arm), springs.real)[0] - springs.start
+    assert springs.presses == pytest.approx(needed, rel=0.05)
+    assert springs.way @ there == pytest.approx(needed / springs.wall, abs=5e-4)
+    assert hold.share == pytest.approx(needed / 10.0, rel=0.05)
+
+
+def test_a_hand_that_keeps_its_place_presses_with_no_more_than_some_times_the_force() -> None:
+    springs = Springs(np.array([0.6, 0.0, -0.8]), wall=2e5)
+    hold = held(springs, 2.0)
+    hold.pose[:3] += springs.way * 2e-3  # Behind a wall that does not give way.
+    for _ in range(4 * TURNS):
+        hold.press(keeps=True)
+    assert hold.share == BETWEEN[1]
+    assert springs.presses == pytest.approx(2.0 * BETWEEN[1], rel=0.1)
 
 
 def test_where_no_force_is_felt_a_hand_stops() -> None:
