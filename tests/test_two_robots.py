@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -34,6 +35,7 @@ from learn2assemble.motion.plant import (
     Guard,
     Motion,
     Plant,
+    PlantError,
     Readings,
     Report,
     Request,
@@ -601,6 +603,31 @@ def test_a_robot_in_a_process_of_its_own_is_watched_and_stopped_at_once(tmp_path
     while told.read_text().count("stopped") == count and time.monotonic() < until:
         time.sleep(0.01)
     assert told.read_text().count("stopped") > count
+
+
+class Dies(WrappedPlant):
+    """A plant whose process ends at the first motion."""
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(KinematicPlant(setup))
+
+    def execute(
+        self,
+        motion: Motion,
+        commands: Sequence[ToolCommand] = (),
+        guards: Sequence[Guard] = (),
+    ) -> Report:
+        os._exit(3)
+
+
+def test_the_end_of_the_process_that_drives_a_robot_is_told() -> None:
+    far = in_process(Dies, setups_of(pair_plan())[0])
+    joints = far.sense().joints
+    for _ in range(2):
+        with pytest.raises(PlantError, match="the process that drives it has ended"):
+            far.execute(standing("home", joints, 0.1))
+    far.stop()
+    far.close()
 
 
 def test_what_is_wrong_with_a_robot_in_its_process_is_said_here() -> None:

@@ -46,7 +46,7 @@ STANDS = 10.0
 def serve(plant: Plant, connection: Connection) -> None:
     """Answer what comes over a connection until it ends; the arm stands then."""
     asked: SimpleQueue[tuple[str, tuple[Any, ...]] | None] = SimpleQueue()
-    sending, over = threading.Lock(), threading.Event()
+    sending, acting, over = threading.Lock(), threading.Event(), threading.Event()
     latest: Callable[[], Readings | None] | None = getattr(plant, "latest", None)
 
     def send(what: str, value: object) -> None:
@@ -72,7 +72,8 @@ def serve(plant: Plant, connection: Connection) -> None:
     def tell(now: Callable[[], Readings | None]) -> None:
         with suppress(EOFError, OSError):
             while not over.wait(TOLD):
-                send("latest", now())
+                if acting.is_set():  # Else nobody listens, and what is told would pile up.
+                    send("latest", now())
 
     threading.Thread(target=listen, daemon=True).start()
     if latest is not None:
@@ -83,10 +84,13 @@ def serve(plant: Plant, connection: Connection) -> None:
             if name == "stop":
                 halt()
                 continue
+            acting.set()
             try:
-                send("answer", _answer(plant, name, given))
+                kind, said = "answer", _answer(plant, name, given)
             except PlantError as error:
-                send("error", error)
+                kind, said = "error", error
+            acting.clear()
+            send(kind, said)
     except (EOFError, OSError):
         pass  # Nobody asks any more.
     finally:
@@ -124,17 +128,24 @@ class RemotePlant:
         self._latest: Readings | None = None
 
     def _ask(self, name: str, *given: Any) -> Any:
-        self.connection.send((name, given))
+        with suppress(OSError):  # That it has ended is seen as no answer comes.
+            self.connection.send((name, given))
         return self.answer()
 
     def answer(self) -> Any:
         """What comes back of what was asked.
 
         Raises:
-            PlantError: also where nothing does in time.
+            PlantError: also where nothing does in time, or the other side has ended.
         """
         until = time.monotonic() + self.patience
-        while (heard := self.heard(max(until - time.monotonic(), 0.0))) is not None:
+        while True:
+            try:
+                heard = self.heard(max(until - time.monotonic(), 0.0))
+            except (EOFError, OSError):
+                raise PlantError(Stop.LOST, "the process that drives it has ended") from None
+            if heard is None:
+                break
             what, value = heard
             if what == "error":
                 raise value
@@ -220,10 +231,7 @@ def in_process(open_it: Callable[[Setup], Plant], setup: Setup) -> RemoteSimulat
     process.start()
     far.close()
     plant = RemoteSimulation(near, ended=lambda: process.join(STANDS))
-    try:
-        plant.answer()
-    except EOFError:
-        raise PlantError(Stop.LOST, "its process did not begin") from None
+    plant.answer()
     return plant
 
 
