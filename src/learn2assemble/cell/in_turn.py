@@ -24,9 +24,9 @@ from learn2assemble.assembly.hands import Hand
 from learn2assemble.cell.arrange import Arranged
 from learn2assemble.cell.building import PAUSED, Building, Prepared
 from learn2assemble.cell.crew import FINE, ArmCrew, Member, Reached
-from learn2assemble.cell.fitting import neighbours
+from learn2assemble.cell.fitting import OPEN, neighbours
 from learn2assemble.cell.pair import Pair, gather, jobs_of, workcell_of
-from learn2assemble.cell.pressing import TURNS, PressingHand, contact_force
+from learn2assemble.cell.pressing import NARROWER, TURNS, PressingHand, contact_force
 from learn2assemble.cell.reach import cells_of
 from learn2assemble.cell.state import Action
 from learn2assemble.cell.structure import Structure
@@ -401,6 +401,9 @@ class InTurn(Together[Cell]):
                     # What is pressed with slips, and tilts about the lip.
                     run.rig.senses.look()
                     hold.in_hand = sight.in_hand()
+                    if sight.held is not None:
+                        # A block that comes into a gap is not to meet what stands there.
+                        hold.narrower = NARROWER - OPEN * sight.held.estimate.spread
                 hold.press(keeps)
 
             self._meanwhile(lambda: press(False))
