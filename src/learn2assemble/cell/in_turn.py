@@ -24,9 +24,9 @@ from learn2assemble.assembly.hands import Hand
 from learn2assemble.cell.arrange import Arranged
 from learn2assemble.cell.building import PAUSED, Building, Prepared
 from learn2assemble.cell.crew import FINE, ArmCrew, Member, Reached
-from learn2assemble.cell.fitting import OPEN, neighbours
+from learn2assemble.cell.fitting import neighbours
 from learn2assemble.cell.pair import Pair, gather, jobs_of, workcell_of
-from learn2assemble.cell.pressing import NARROWER, TURNS, PressingHand, contact_force
+from learn2assemble.cell.pressing import TURNS, PressingHand, contact_force
 from learn2assemble.cell.reach import cells_of
 from learn2assemble.cell.state import Action
 from learn2assemble.cell.structure import Structure
@@ -52,7 +52,9 @@ from learn2assemble.statics.states import State
 MOST = 12
 """Ways of an arm to bring a block that are tried."""
 LOOKS = 10
-"""After so many turns a hand that presses looks how its block is in it."""
+"""After so many turns a hand that presses looks how its block is in it, ..."""
+KNOWN = 5e-5
+"""... where that is known better than by this standard deviation [m]."""
 MOVED = 5e-5
 """A block that the hand which holds it has moved farther is told to be elsewhere [m]."""
 SIDES = 12
@@ -391,20 +393,19 @@ class InTurn(Together[Cell]):
             self.traffic.holds(who, run.joints)
             self._tell(who, {k})
             assert isinstance(building, InTurnBuilding)
-            known = sight.in_hand(), world.drawn(k), self._against(who, k)
+            lies = sight.in_hand(), world.drawn(k), self._against(who, k)
             block = world.pieces[k]
-            hold = PressingHand(run, building.job.arm, *known, building.ways.force, block.mass)
-            turns = itertools.count(1)
+            hold = PressingHand(run, building.job.arm, *lies, building.ways.force, block.mass)
+            turns, held = itertools.count(1), sight.held
+            # Of a block that is known less well, its force tells more than where it is seen.
+            known = held is not None and held.estimate.spread < KNOWN
 
             def press(keeps: bool = True) -> None:
-                if next(turns) % LOOKS == 0:
+                if known and next(turns) % LOOKS == 0:
                     # What is pressed with slips, and tilts about the lip.
                     run.rig.senses.look()
                     hold.in_hand = sight.in_hand()
-                    if sight.held is not None:
-                        # A block that comes into a gap is not to meet what stands there.
-                        hold.narrower = NARROWER - OPEN * sight.held.estimate.spread
-                hold.press(keeps)
+                hold.press(keeps and known)
 
             self._meanwhile(lambda: press(False))
             taken = self.holds[1 - who] is not None

@@ -62,9 +62,9 @@ MORE, SOON = 0.02, 5e-4
 """A hand that keeps its place presses with so much more of the force in every turn, or less, where
 its block is so far from there along the joint [m]; in proportion where it is nearer."""
 NARROWER = 1e-4
-"""A gap that is still to be closed is kept narrower by this than drawn, where all is known exactly
-[m]: by about as much what stands gives way when the last block bears it and the hand lets go. A
-voussoir of 8.6 degrees goes in 0.7 mm deeper where its gap is wider by so much."""
+"""It keeps a gap that is still to be closed narrower by this than drawn [m]: by about as much what
+stands gives way when the last block bears it and the hand lets go. A voussoir of 8.6 degrees goes
+in 0.7 mm deeper where its gap is wider by so much."""
 BETWEEN = 0.3, 3.0
 """Least and largest share of the force."""
 KEPT = Guard(hold="kept")
@@ -133,8 +133,6 @@ class PressingHand:
         self.weight: np.ndarray = np.array([0.0, 0.0, GRAVITY * mass])
         self.share: float = 1.0
         """Of the force, what it presses with."""
-        self.narrower: float = NARROWER
-        """It keeps its block so far short of its place along the joint [m]."""
         self.there: np.ndarray = self._joints()
         """float64[n]: where it stays [rad]."""
         self.start: np.ndarray = self._hand()[0]
@@ -156,7 +154,7 @@ class PressingHand:
         (where, turn), way = self._hand(), self.way
         place, turn = self._brought(turn)
         if keeps:
-            short = float(way @ (place - where)) - self.narrower
+            short = float(way @ (place - where)) - NARROWER
             self.share += MORE * float(np.clip(short / SOON, -1.0, 1.0))
             self.share = float(np.clip(self.share, *BETWEEN))
         more = float(way @ (self._felt() - self.share * self.force)) / FIRM
