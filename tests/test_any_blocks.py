@@ -594,3 +594,43 @@ def test_a_run_counts_what_the_robot_did(small_arch: Plan) -> None:
     ran = l2a.run(plan)
     assert ran.complete, ran.reason
     assert ran.blocks == done
+
+
+# ---------------------------------------------------------------- wherever it stands
+
+
+def small_wall(x: float, y: float) -> Assembly:
+    """Six bricks with a corner at a point of the work plane."""
+    size = (0.1, 0.1, 0.06)
+    corners = [(x + 0.11 * (k % 3), y, size[2] * (k // 3)) for k in range(6)]
+    blocks = [
+        box_block(f"b{k}", at, tuple(np.add(at, size)), density=700.0)
+        for k, at in enumerate(corners)
+    ]
+    return Assembly(tuple(blocks), friction=0.6)
+
+
+@pytest.mark.parametrize("at", [(0.4, 0.2), (2.0, 1.0), (-15.0, 7.5)])
+def test_an_arm_stands_before_a_structure_wherever_that_is(at: tuple[float, float]) -> None:
+    """Models of other programs have their origin anywhere."""
+    near, far = (
+        l2a.build(small_wall(*place), arm="ur5e", physics="kinematic") for place in ((0, 0), at)
+    )
+    assert far.complete, far.reason
+    assert near.arm is not None
+    assert far.arm is not None
+    assert far.arm.attempts == near.arm.attempts
+    assert np.subtract(far.arm.base, near.arm.base)[:2] == pytest.approx(at, abs=2e-3)
+    waiting = np.array(far.blocks.waiting)[:, :2]
+    assert np.linalg.norm(waiting - far.arm.base[:2], axis=1).max() < 0.85
+
+
+def test_two_arms_stand_on_both_sides_of_a_structure_wherever_that_is() -> None:
+    plan = l2a.build(small_wall(2.0, 1.0), arm=("ur5e", "panda"), physics="kinematic")
+    assert plan.complete, plan.reason
+    assert [arm.reaches for arm in plan.arms] == [6, 6]
+    assert np.mean([arm.base[:2] for arm in plan.arms], axis=0) == pytest.approx(
+        [2.16, 1.05], abs=2e-3
+    )
+    found = l2a.reach(small_wall(2.0, 1.0), arm=("ur5e", "panda"))
+    assert found.out == []

@@ -24,7 +24,7 @@ from learn2assemble.cell.bricks import BrickStructure
 from learn2assemble.cell.building import Prepared
 from learn2assemble.cell.crew import Member
 from learn2assemble.cell.pieces import with_rests
-from learn2assemble.cell.reach import cells_of, with_home
+from learn2assemble.cell.reach import cells_of, middle_of, with_home
 from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.taking_apart import arrange_bricks, plan_in_order
 from learn2assemble.cell.team import told_of
@@ -180,7 +180,8 @@ def possible(
 
 def back(job: Job) -> Arm:
     """The arm with a home that leaves the site to the other one: above its own edge of it."""
-    x, y = (-job.base / max(float(np.linalg.norm(job.base)), 1e-9)).tolist()
+    way = middle_of(job.pieces) - job.base
+    x, y = (way / max(float(np.linalg.norm(way)), 1e-9)).tolist()
     places = itertools.product(HOMES, (0.25, 0.15))
     return with_home(job.arm, (x, y), max(piece.top for piece in job.pieces), places)
 
@@ -200,7 +201,8 @@ def shared_out(
         return tuple(steps)
     where = np.array([piece.target for piece in job.pieces])
     # Across the line between the arms they are in each other's way least.
-    along = np.array([-job.base[1], job.base[0]])
+    out = job.base - middle_of(job.pieces)
+    along = np.array([-out[1], out[0]])
     along = along / max(float(np.linalg.norm(along)), 1e-9)
     if along[np.argmax(np.abs(along))] < 0:
         along = -along

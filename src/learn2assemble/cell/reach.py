@@ -28,7 +28,7 @@ from learn2assemble.cell.pieces import (
     ways_to_rest,
     with_rests,
 )
-from learn2assemble.cell.site import Site, Source, given_sources, outline, rests_of
+from learn2assemble.cell.site import TABLE, Site, Source, given_sources, outline, rests_of
 from learn2assemble.cell.workcell import Job, Progress, StepOf
 from learn2assemble.cell.world import (
     LOOSE,
@@ -69,6 +69,8 @@ Base = tuple[float, float, float, float]
 """x, y, z [m] and the direction the arm faces [rad from x]."""
 FARTHEST, NEAREST = 0.85, 0.22
 """Of a base from the middle, and from the edge, of a structure [m]."""
+CENTRED = 0.05
+"""A structure whose middle is nearer to the origin stands there [m]."""
 DISTANCES = (0.5, 0.45, 0.55, 0.4, 0.6, 0.35, 0.65, 0.3, 0.7, 0.75)
 HEIGHTS = (0.0, 0.2, 0.4)
 """Of bases that are tried [m], the preferred ones first."""
@@ -197,13 +199,22 @@ def extreme(pieces: Sequence[Piece]) -> list[int]:
     return sorted(found)
 
 
+def middle_of(pieces: Sequence[Piece]) -> np.ndarray:
+    """float64[2]: where a structure stands, to the millimetre [m]: at the origin, as designs do, or
+    elsewhere, as blocks may that are given."""
+    ends = np.array([piece.extent for piece in pieces])
+    middle = (ends[:, 0].min(0) + ends[:, 1].max(0))[:2] / 2
+    return np.zeros(2) if np.linalg.norm(middle) < CENTRED else middle.round(3)
+
+
 def bases(pieces: Sequence[Piece], distances: Sequence[float] = DISTANCES) -> Iterator[Base]:
     """Bases to try, the preferred ones first: before the long side, then before the short one.
 
     Args:
         distances: from the middle [m].
     """
-    half = np.max([np.abs(end) for piece in pieces for end in piece.extent], axis=0)
+    middle = middle_of(pieces)
+    half = np.max([np.abs(end[:2] - middle) for piece in pieces for end in piece.extent], axis=0)
     long = QUARTER if half[0] > half[1] + 0.02 else 0.0
     top = max(p.top for p in pieces)
     for height in HEIGHTS if top > LOW else HEIGHTS[:1]:
@@ -211,8 +222,15 @@ def bases(pieces: Sequence[Piece], distances: Sequence[float] = DISTANCES) -> It
             depth = half[1] if facing else half[0]
             for distance in distances:
                 if distance - depth >= NEAREST:
-                    x, y = -distance * math.cos(facing), -distance * math.sin(facing)
+                    way = np.array([math.cos(facing), math.sin(facing)])
+                    x, y = (middle - distance * way).tolist()
                     yield round(x, 4) + 0.0, round(y, 4) + 0.0, height, facing
+
+
+def nowhere(pieces: Sequence[Piece]) -> Base:
+    """Where an arm is said to stand that has no room anywhere."""
+    x, y = middle_of(pieces).tolist()
+    return x - DISTANCES[0], y, 0.0, 0.0
 
 
 def suggest(name: str, tool: str, pieces: Sequence[Piece]) -> Reach:
@@ -229,7 +247,7 @@ def suggest(name: str, tool: str, pieces: Sequence[Piece]) -> Reach:
 
 def _whole(name: str, tool: str, pieces: Sequence[Piece], best: Reach | None) -> Reach:
     """The same of all pieces, after the decisive ones."""
-    base = (-DISTANCES[0], 0.0, 0.0, 0.0) if best is None else best.base
+    base = nowhere(pieces) if best is None else best.base
     return reach_from(place_arm(name, tool, base), base, pieces)
 
 
@@ -511,7 +529,9 @@ def supplied(
     taken += [outline(o).buffer(2 * APART) for o in job.obstacles if o.bottom < OVERHEAD]
     taken.append(shapely.Point(*job.base).buffer(0.16))
     library: Any = shapely
-    table = library.box(*(-np.array(site.table) / 2), *(np.array(site.table) / 2))
+    # Who says nothing of the table has the middle of the structure on the middle of it.
+    at, half = middle_of(job.pieces) * (site.table == TABLE), np.array(site.table) / 2
+    table = library.box(*(at - half), *(at + half))
     made: list[Source] = []
     progress(Detail("looking for places where blocks wait"))
     for shape in counted(missing, "kinds of blocks with a place to wait", progress):
@@ -564,11 +584,12 @@ def _magazine_places(
     top = max(float(p.target[2]) for p in job.pieces) + size
     scenes = [(yaw, _waiting(world, shape, rests, yaw, top)) for yaw in (0.0, QUARTER)]
     steps = np.arange(-25, 26) * GRID
-    grid = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
+    middle = middle_of(job.pieces)
+    grid = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2) + middle
     away = np.linalg.norm(grid - job.base, axis=1)
     grid = grid[(away > FOLDED) & (away < FARTHEST)]
     # Near the structure, and rather between it and the arm than behind it.
-    cost = np.linalg.norm(grid, axis=1) + 0.3 * np.linalg.norm(grid - job.base, axis=1)
+    cost = np.linalg.norm(grid - middle, axis=1) + 0.3 * np.linalg.norm(grid - job.base, axis=1)
     if across is not None:
         way = (across - job.base) / max(float(np.linalg.norm(across - job.base)), 1e-9)
         own = HAND_SIDE if job.assembly.holds else OWN_SIDE

@@ -28,6 +28,8 @@ from learn2assemble.cell.reach import (
     check_held,
     check_reached,
     extreme,
+    middle_of,
+    nowhere,
     place_arm,
     reach_from,
     resting,
@@ -113,17 +115,17 @@ def team_reach(
     if all(one.base is not None for one in arms):
         _check_apart(arms)
         return _reached(arms, pieces, level)
-    key, best = extreme(pieces), None
+    key, best, middle = extreme(pieces), None, middle_of(pieces)
     fingers = all(get_arm(one.arm, one.tool or TOOL).suction is None for one in arms)
     for base in bases(pieces, FAR if fingers else DISTANCES):
-        found = _reached(_placed(arms, base), pieces, level, key)
+        found = _reached(_placed(arms, base, middle), pieces, level, key)
         cost = len(found.out), len(key) - (found.both - found.count + len(key))
         if best is None or cost < best[0]:
             best = cost, base
         if best[0] == (0, 0):
             break
     # What is as wide as arms reach leaves no room beside it: told from where is what they miss.
-    placed = _placed(arms, (-DISTANCES[0], 0.0, 0.0, 0.0) if best is None else best[1])
+    placed = _placed(arms, nowhere(pieces) if best is None else best[1], middle)
     _check_apart(placed)
     return _reached(placed, pieces, level)
 
@@ -132,14 +134,22 @@ def _with_tool(arm: Arm, level: bool) -> Arm:
     return replace(arm, most_tilt=LEVEL) if level else arm
 
 
-def _placed(arms: Sequence[SiteArm], base: Base) -> tuple[SiteArm, ...]:
-    """Arms of which those without a base stand at one, and at the one across from it."""
-    x, y, z, facing = base
-    places = [base, (-x + 0.0, -y + 0.0, z, facing + math.pi)]
+def _placed(arms: Sequence[SiteArm], base: Base, middle: np.ndarray) -> tuple[SiteArm, ...]:
+    """Arms of which those without a base stand at one, and at the one across from it.
+
+    Args:
+        middle: float64[2], of the structure [m].
+    """
+    x, y = middle.tolist()
+
+    def across(one: Base) -> Base:
+        u, v, height, facing = one
+        return 2 * x - u + 0.0, 2 * y - v + 0.0, height, facing + math.pi
+
+    places = [base, across(base)]
     for one in arms:
         if one.base is not None:  # The other one stands across from it.
-            u, v, height, yaw = one.base
-            places = [(-u + 0.0, -v + 0.0, height, yaw + math.pi)] * 2
+            places = [across(one.base)] * 2
     return tuple(
         one if one.base is not None else one._replace(base=place)
         for one, place in zip(arms, places, strict=False)

@@ -28,6 +28,7 @@ from learn2assemble.cell.telling import (
     Turn,
     assume,
     forget,
+    halted,
     route_of,
     take_up,
     tell,
@@ -49,6 +50,8 @@ LOOK_AGAIN = 0.1
 """An arm that has nothing to do looks again after this time [s]."""
 AT_HOME = 1e-3
 """An arm that is so near to its home is there [rad]."""
+HALTS = 0.8, 0.65, 0.5, 0.35, 0.2
+"""Shares of the way across after which an arm could wait for the other one to place its block."""
 PATIENCE, SOON = 600, 20
 """So often, before it counts as stuck while the other arm is at work, and where that has ended."""
 
@@ -475,6 +478,8 @@ class Together(Generic[Cell]):
             k = building.world.names.index(block)
             after = self.after[who]
             behind = after is not None and self.traffic.other(who).route is after
+            if behind:
+                route = self._nearer(who, run, route)
             if self.traffic.announce(who, route, behind):
                 self.moves[who] = k
                 self.buildings[1 - who].sight.carried |= {k, *self.along[who]}
@@ -489,6 +494,21 @@ class Together(Generic[Cell]):
             return False
 
         return announce
+
+    def _nearer(self, who: int, run: Execution, route: Route) -> Route:
+        """The same with a halt on the way across, as far as the arm may come before the other one
+        has placed its block."""
+        course = run.course
+        if len(course.across) < 2:
+            return route
+        for share in HALTS:
+            across, nearer = halted(course.across, share)
+            run.course = course._replace(across=across)
+            found = route_of(run, route.block, route.along, nearer=nearer)
+            if self.traffic.apart(who, found) and self.traffic.fits(who, found, behind=True):
+                return found
+        run.course = course
+        return route
 
     def _tell(self, who: int, changed: set[int]) -> None:
         """Tell the other arm what came of an attempt."""

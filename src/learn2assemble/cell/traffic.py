@@ -9,8 +9,8 @@ both can come to the end of what they announced afterwards, one leg at a time. T
 every leg, so one of the two can always go on.
 
 An arm whose block comes after the one that the other arm moves may fetch it meanwhile: it announces
-a route *behind* that of the other arm, and waits before it crosses until that has let go of its
-block where it was to place it, or is over.
+a route *behind* that of the other arm, and waits until that has let go of its block where it was to
+place it, or is over; before it crosses, or as far across as it is in nobody's way.
 
 Where bricks clutch, no arm presses on what stands, or draws at it, while the other one does.
 """
@@ -55,7 +55,8 @@ straight line between two that are left."""
 IN_THE_WAY = "the other arm is in the way"
 NOT_PLACED = "the block that comes before it was not placed"
 BEHIND = ("cross", "place")
-"""Stages that begin only when the block that they are behind is placed."""
+"""Stages that begin only when the block that they are behind is placed, but for the first part of
+the way across."""
 PLACED = 0.005
 """An arm lets go of its block in its place where it is so near to where it was to have it there
 [m]."""
@@ -84,6 +85,14 @@ class Route(NamedTuple):
     """Names of the blocks that it brings along."""
     loads: frozenset[str] = frozenset()
     """Stages in which it presses a brick home on what stands, or draws one off."""
+    nearer: int = 0
+    """So many legs across may come before it waits, where it is behind another one."""
+
+    @property
+    def waits(self) -> int:
+        """Number of the first leg that begins only when what it is behind is over."""
+        legs = enumerate(self.legs)
+        return next((n for n, leg in legs if leg.stage in BEHIND), len(self.legs)) + self.nearer
 
 
 @dataclass
@@ -128,6 +137,14 @@ class Lane:
 
     def __post_init__(self) -> None:
         self.capsules = capsules_of(self.arm)
+
+    def waits_for(self, stage: str) -> bool:
+        """Whether a motion of a stage begins only when the block that its own is behind is
+        placed."""
+        if self.route is None or stage not in [leg.stage for leg in self.ahead]:
+            return stage in BEHIND
+        done = len(self.route.legs) - len(self.ahead)
+        return done + [leg.stage for leg in self.ahead].index(stage) >= self.route.waits
 
     @property
     def stays(self) -> Sweep:
@@ -175,7 +192,7 @@ class Traffic:
         if route.loads and other.halted and other.loading:
             return False
         if behind and other.route is not None:
-            own = first_behind(route.legs)
+            own = route.waits
             if not all(
                 self._clear(leg.swept, other.route.goal, PLANNED) for leg in route.legs[:own]
             ):
@@ -188,6 +205,14 @@ class Traffic:
             if not all(self._clear(leg.swept, other.route.goal, PLANNED) for leg in route.legs):
                 return False
         return self._complete(lane.here.end, route.legs, other.stays, other.ahead)
+
+    def apart(self, who: int, route: Route) -> bool:
+        """Whether an arm comes to where it waits on a route whatever the other one does of what it
+        has announced."""
+        other = self.other(who)
+        theirs = (other.here, *(leg.swept for leg in other.ahead))
+        mine = [leg.swept for leg in route.legs[route.waits - route.nearer : route.waits]]
+        return all(self._clear(one, two, PLANNED) for one in mine for two in theirs)
 
     def announce(self, who: int, route: Route, behind: bool = False) -> bool:
         """As :meth:`fits`; if so, the route is known from now on."""
@@ -274,7 +299,7 @@ class Traffic:
         if lane.refused == self.changes:
             return False
         loads = lane.route is not None and motion.stage in lane.route.loads
-        if (loads and other.loading) or (lane.behind is not None and motion.stage in BEHIND):
+        if (loads and other.loading) or (lane.behind and lane.waits_for(motion.stage)):
             lane.refused = self.changes
             return False
         swept = self._of(lane, motion)
@@ -342,7 +367,10 @@ class Traffic:
     def _waits(self, who: int, ahead: Sequence[Leg]) -> int | None:
         """The first of the legs ahead of an arm that comes when the other arm has done all of its
         own; None: it does not wait."""
-        return None if self.lanes[who].behind is None else first_behind(ahead)
+        lane = self.lanes[who]
+        if lane.behind is None or lane.route is None:
+            return None
+        return max(lane.route.waits - len(lane.route.legs) + len(ahead), 0)
 
     def _complete(
         self,
@@ -431,7 +459,7 @@ class ArmInTraffic(WrappedPlant):
         kept = (Guard(hold="kept"),) if any(one.hold == "kept" for one in guards) else ()
         waited: list[Report] = []
         while moves:
-            if lane.in_vain and motion.stage in BEHIND:
+            if lane.in_vain and lane.waits_for(motion.stage):
                 lane.in_vain = False  # As below.
                 self.traffic.leaves_route(self.who)
                 raise Failure(Outcome.UNREACHABLE, motion.stage, NOT_PLACED)
@@ -458,11 +486,6 @@ class ArmInTraffic(WrappedPlant):
         if moves or holding != lane.holding:
             self.traffic.stands(self.who, report.joints, holding)
         return _joined([*waited, report], done=report.done)
-
-
-def first_behind(legs: Sequence[Leg]) -> int:
-    """Number of the first leg that begins only when what it is behind is over."""
-    return next((n for n, leg in enumerate(legs) if leg.stage in BEHIND), len(legs))
 
 
 def _joined(reports: Sequence[Report], done: float) -> Report:
