@@ -331,12 +331,12 @@ def test_bricks_and_dry_blocks_are_not_turned_into_one_another():
 
 
 def small_bricks(*rows: tuple[tuple[int, int], ...]) -> Plan:
-    """As :func:`bricks`, of a size that a cup lifts: cells of 40 mm."""
+    """As :func:`bricks`, of a size that a cup lifts: cells of 40 mm, nine about the origin."""
     blocks = [
         box_block(
             f"{a}-{b}/{z}",
-            (a / 25, 0, z / 25),
-            (b / 25, 0.04, (z + 1) / 25),
+            (a / 25 - 0.18, 0, z / 25),
+            (b / 25 - 0.18, 0.04, (z + 1) / 25),
             kind=f"{b - a}",
         )
         for z, row in enumerate(rows)

@@ -69,7 +69,7 @@ Base = tuple[float, float, float, float]
 """x, y, z [m] and the direction the arm faces [rad from x]."""
 FARTHEST, NEAREST = 0.85, 0.22
 """Of a base from the middle, and from the edge, of a structure [m]."""
-CENTRED = 0.05
+CENTRED = 0.15
 """A structure whose middle is nearer to the origin stands there [m]."""
 DISTANCES = (0.5, 0.45, 0.55, 0.4, 0.6, 0.35, 0.65, 0.3, 0.7, 0.75)
 HEIGHTS = (0.0, 0.2, 0.4)
