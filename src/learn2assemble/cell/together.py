@@ -478,7 +478,7 @@ class Together(Generic[Cell]):
             k = building.world.names.index(block)
             after = self.after[who]
             behind = after is not None and self.traffic.other(who).route is after
-            if behind:
+            if behind and building.known.structure.studs() is not None:
                 route = self._nearer(who, run, route)
             if self.traffic.announce(who, route, behind):
                 self.moves[who] = k
@@ -497,7 +497,8 @@ class Together(Generic[Cell]):
 
     def _nearer(self, who: int, run: Execution, route: Route) -> Route:
         """The same with a halt on the way across, as far as the arm may come before the other one
-        has placed its block."""
+        has placed its block. Of bricks, which are pressed home for so long that a halt pays: dry
+        blocks were placed 0 to 3 % later with it."""
         course = run.course
         if len(course.across) < 2:
             return route
