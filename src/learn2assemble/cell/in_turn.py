@@ -29,7 +29,7 @@ from learn2assemble.cell.pair import Pair, gather, jobs_of, workcell_of
 from learn2assemble.cell.pressing import TURNS, PressingHand, contact_force
 from learn2assemble.cell.reach import cells_of
 from learn2assemble.cell.state import Action
-from learn2assemble.cell.structure import Structure
+from learn2assemble.cell.structure import LEANING, Structure
 from learn2assemble.cell.telling import SharedJournal, route_of
 from learn2assemble.cell.together import Cell, Together, built_by, key_of_two, simulated
 from learn2assemble.cell.workcell import Progress, StepOf, Workcell
@@ -397,8 +397,10 @@ class InTurn(Together[Cell]):
             block = world.pieces[k]
             hold = PressingHand(run, building.job.arm, *lies, building.ways.force, block.mass)
             turns, held = itertools.count(1), sight.held
-            # Of a block that is known less well, its force tells more than where it is seen.
+            # Of a block that is known less well, its force tells more than where it is seen; and
+            # on a level joint it stays where it is.
             known = held is not None and held.estimate.spread < KNOWN
+            known = known and abs(float(hold.way[2])) < 1 - LEANING
 
             def press(keeps: bool = True) -> None:
                 if known and next(turns) % LOOKS == 0:
