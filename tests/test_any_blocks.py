@@ -610,7 +610,7 @@ def small_wall(x: float, y: float) -> Assembly:
     return Assembly(tuple(blocks), friction=0.6)
 
 
-@pytest.mark.parametrize("at", [(0.4, 0.2), (2.0, 1.0), (-15.0, 7.5)])
+@pytest.mark.parametrize("at", [(0.4, 0.2), (2.0, 1.0), (-61.0, 47.5)])
 def test_an_arm_stands_before_a_structure_wherever_that_is(at: tuple[float, float]) -> None:
     """Models of other programs have their origin anywhere."""
     near, far = (
@@ -634,3 +634,10 @@ def test_two_arms_stand_on_both_sides_of_a_structure_wherever_that_is() -> None:
     )
     found = l2a.reach(small_wall(2.0, 1.0), arm=("ur5e", "panda"))
     assert found.out == []
+
+
+def test_what_stands_too_far_away_for_an_arm_is_said() -> None:
+    expected = "design: got 'blocks 142 m from the origin', expected blocks within 90 m"
+    for arm in ("ur5e", ("ur5e", "panda")):
+        with pytest.raises(InputError, match=expected):
+            l2a.build(small_wall(100.0, 100.0), arm=arm, physics="kinematic")

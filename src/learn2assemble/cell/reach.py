@@ -69,6 +69,8 @@ Base = tuple[float, float, float, float]
 """x, y, z [m] and the direction the arm faces [rad from x]."""
 FARTHEST, NEAREST = 0.85, 0.22
 """Of a base from the middle, and from the edge, of a structure [m]."""
+AWAY = 90.0
+"""No structure that an arm builds is farther from the origin [m]."""
 CENTRED = 0.15
 """A structure whose middle is nearer to the origin stands there [m]."""
 DISTANCES = (0.5, 0.45, 0.55, 0.4, 0.6, 0.35, 0.65, 0.3, 0.7, 0.75)
@@ -201,9 +203,16 @@ def extreme(pieces: Sequence[Piece]) -> list[int]:
 
 def middle_of(pieces: Sequence[Piece]) -> np.ndarray:
     """float64[2]: where a structure stands, to the millimetre [m]: at the origin, as designs do, or
-    elsewhere, as blocks may that are given."""
+    elsewhere, as blocks may that are given.
+
+    Raises:
+        InputError: for one that is too far away for an arm to be said to stand there.
+    """
     ends = np.array([piece.extent for piece in pieces])
     middle = (ends[:, 0].min(0) + ends[:, 1].max(0))[:2] / 2
+    if np.linalg.norm(middle) > AWAY:
+        got = f"blocks {np.linalg.norm(middle):.0f} m from the origin"
+        raise InputError("design", got, f"blocks within {AWAY:g} m of it, for an arm")
     return np.zeros(2) if np.linalg.norm(middle) < CENTRED else middle.round(3)
 
 

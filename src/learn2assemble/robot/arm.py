@@ -38,7 +38,7 @@ FINGERS = "gripper"
 """The tool that an arm comes with."""
 MESHES = "meshes.zip"
 """Beside an MJCF, the mesh files of its pictures; those that are not in it are read beside it."""
-FARTHEST = 20.0
+FARTHEST = 100.0
 """Bases stand no farther away than this [m]."""
 
 
