@@ -26,6 +26,7 @@ from learn2assemble.cell.pair import Pair, gather
 from learn2assemble.cell.site import Obstacle, Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import set_up_team
+from learn2assemble.cell.telling import halted
 from learn2assemble.cell.together import Together
 from learn2assemble.cell.traffic import APART, PLANNED, ArmInTraffic, Leg, Route, Traffic
 from learn2assemble.cell.workcell import Workcell
@@ -201,6 +202,41 @@ def test_an_arm_that_comes_after_the_other_one_fetches_meanwhile_and_then_crosse
     assert two.execute(across).stop == Stop.END
     traffic.over(1, placed=False)
     assert one.execute(motion("approach", LEFT.home, corners[0][0])).stop == Stop.END
+
+
+def test_an_arm_that_waits_comes_as_far_across_as_it_may() -> None:
+    """The first part of the way across begins at once, the second one when the block before it is
+    placed; the way itself is the same."""
+    traffic = Traffic(ARMS)
+    corners = [[arm.home + step * np.eye(len(arm.home))[0] for step in (0.1, 0.2)] for arm in ARMS]
+    mine, whole = (route(arm, where) for arm, where in zip(ARMS, corners, strict=True))
+    across, nearer = halted(np.array(corners[1]), 0.25)
+    assert nearer == 1
+    np.testing.assert_allclose(across[1], RIGHT.home + 0.125 * np.eye(len(RIGHT.home))[0])
+    capsules = capsules_of(RIGHT)
+    parts = [Leg("cross", sweep(RIGHT, capsules, np.array(way))) for way in pairwise(across)]
+    other = whole._replace(legs=(whole.legs[0], *parts, whole.legs[2]), nearer=nearer)
+    assert (whole.waits, other.waits) == (1, 2)
+    assert traffic.announce(0, mine)
+    assert traffic.apart(1, other)
+    assert traffic.announce(1, other, behind=True)
+    for stage, way in (("approach", (RIGHT.home, across[0])), ("cross", (across[0], across[1]))):
+        assert traffic.enter(1, motion(stage, *way))
+        traffic.stands(1, way[1], stage == "cross")
+    assert not traffic.enter(1, motion("cross", across[1], across[2]))
+    traffic.over(0)
+    assert traffic.enter(1, motion("cross", across[1], across[2]))
+
+
+def test_an_arm_halts_after_a_share_of_its_way() -> None:
+    way = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0]])
+    for share, there, nearer in ((0.5, [2.0, 0.0], 1), (0.75, [3.0, 0.0], 1), (0.9, [3.0, 0.6], 2)):
+        found, count = halted(way, share)
+        np.testing.assert_allclose(found[count], there)
+        assert count == nearer
+        assert len(found) == 4
+        # No detour.
+        assert np.linalg.norm(np.diff(found, axis=0), axis=1).sum() == pytest.approx(4.0)
 
 
 @pytest.mark.parametrize("there", [True, False])
