@@ -648,7 +648,7 @@ def test_what_two_robots_cannot_do_is_said() -> None:
     with pytest.raises(InputError, match="did you mean 'ur'"):
         run(plan, ["url://192.0.2.1", "ur://192.0.2.1"])
     one = replace(plan, arms=plan.arms[:1])
-    with pytest.raises(InputError, match="2 of them"):
+    with pytest.raises(InputError, match="2 robots"):
         run(one, ["ur://192.0.2.1", "ur://192.0.2.2"])
     held = replace(plan, steps=(replace(plan.steps[0], action="hold"), *plan.steps[1:]))
     with pytest.raises(InputError, match="steps hold a block"):

@@ -154,7 +154,8 @@ def run(
         raise InputError("speed", speed, "a share, above 0 and at most 1")
     if len(robots) != count and robots != [SIMULATION]:
         arms = ", ".join(one.name for one in plan.arms) or "one arm"
-        raise InputError("robot", f"{len(robots)} of them", f"one for each arm of the plan: {arms}")
+        several = f"{len(robots)} robot{'s' * (len(robots) != 1)}"
+        raise InputError("robot", several, f"one for each arm of the plan: {arms}")
     if count > 1 and len(robots) > 1 and SIMULATION in robots:
         raise InputError("robot", f"{SIMULATION} as one of two", "it alone, for both arms")
     site = layout if isinstance(layout, Site) else Site()
