@@ -21,8 +21,9 @@ from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.instruction_words import facts
 from learn2assemble.assembly.instructions import instructions
 from learn2assemble.cell.carry_out import Workcell, carry_out
-from learn2assemble.cell.pieces import pieces_of, ways_to_rest, with_rests
+from learn2assemble.cell.pieces import Pose, pieces_of, ways_to_rest, with_rests
 from learn2assemble.cell.reach import check_held
+from learn2assemble.cell.site import Magazine
 from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.workcell import job_of
 from learn2assemble.cli.commands import _print_plan
@@ -604,7 +605,7 @@ def small_wall(x: float, y: float) -> Assembly:
     size = (0.1, 0.1, 0.06)
     corners = [(x + 0.11 * (k % 3), y, size[2] * (k // 3)) for k in range(6)]
     blocks = [
-        box_block(f"b{k}", at, tuple(np.add(at, size)), density=700.0)
+        box_block(f"b{k}", at, tuple(np.add(at, size)), kind="brick", density=700.0)
         for k, at in enumerate(corners)
     ]
     return Assembly(tuple(blocks), friction=0.6)
@@ -641,3 +642,18 @@ def test_what_stands_too_far_away_for_an_arm_is_said() -> None:
     for arm in ("ur5e", ("ur5e", "panda")):
         with pytest.raises(InputError, match=expected):
             l2a.build(small_wall(100.0, 100.0), arm=arm, physics="kinematic")
+
+
+def test_magazines_of_a_layout_stand_on_the_table_about_a_structure() -> None:
+    at = Magazine("brick", Pose(2.16, 0.85, 0.0))
+    site = l2a.Site(magazines=(at,))
+    done = l2a.build(small_wall(2.0, 1.0), arm="ur5e", physics="kinematic", layout=site)
+    assert done.complete, done.reason
+    # Where the layout says where the table is, it is there.
+    with pytest.raises(InputError, match="a place on the table"):
+        l2a.build(
+            small_wall(2.0, 1.0),
+            arm="ur5e",
+            physics="kinematic",
+            layout=dataclasses.replace(site, table=(1.5, 1.0)),
+        )

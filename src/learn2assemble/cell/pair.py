@@ -23,8 +23,8 @@ from learn2assemble.cell.arrange import (
 from learn2assemble.cell.bricks import BrickStructure
 from learn2assemble.cell.building import Prepared
 from learn2assemble.cell.crew import Member
-from learn2assemble.cell.pieces import with_rests
-from learn2assemble.cell.reach import cells_of, middle_of, with_home
+from learn2assemble.cell.pieces import middle_of, with_rests
+from learn2assemble.cell.reach import cells_of, with_home
 from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.taking_apart import arrange_bricks, plan_in_order
 from learn2assemble.cell.team import told_of

@@ -19,6 +19,7 @@ import numpy as np
 from learn2assemble.assembly.appearance import millimetres
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.parts import convex_parts
+from learn2assemble.errors import InputError
 from learn2assemble.geometry.hulls import (
     hull_of,
     resting_turns,
@@ -34,6 +35,10 @@ from learn2assemble.robot.bodies import Part, Shape, body_of
 from learn2assemble.robot.grasps import UPRIGHT as STRAIGHT
 from learn2assemble.robot.holding import ways_to_turn
 
+AWAY = 90.0
+"""No structure that an arm builds is farther from the origin [m]."""
+CENTRED = 0.15
+"""A structure whose middle is nearer to the origin stands there [m]."""
 QUARTER = math.pi / 2
 GRAIN = 2e-6
 """Corners that differ by less are one [m]."""
@@ -493,3 +498,18 @@ def yaw_of(quaternion: np.ndarray, turns: Sequence[np.ndarray]) -> float:
     now = quaternion_matrix(quaternion)
     turn = max((now @ turn for turn in turns), key=lambda t: round(float(t[2, 2]), 6))
     return math.atan2(turn[1, 0], turn[0, 0])
+
+
+def middle_of(pieces: Sequence[Piece]) -> np.ndarray:
+    """float64[2]: where a structure stands, to the millimetre [m]: at the origin, as designs do, or
+    elsewhere, as blocks may that are given.
+
+    Raises:
+        InputError: for one that is too far away for an arm to be said to stand there.
+    """
+    ends = np.array([piece.extent for piece in pieces])
+    middle = (ends[:, 0].min(0) + ends[:, 1].max(0))[:2] / 2
+    if np.linalg.norm(middle) > AWAY:
+        got = f"blocks {np.linalg.norm(middle):.0f} m from the origin"
+        raise InputError("design", got, f"blocks within {AWAY:g} m of it, for an arm")
+    return np.zeros(2) if np.linalg.norm(middle) < CENTRED else middle.round(3)

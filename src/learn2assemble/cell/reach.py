@@ -23,12 +23,13 @@ from learn2assemble.cell.pieces import (
     Piece,
     Pose,
     Turn,
+    middle_of,
     pieces_of,
     turn_key,
     ways_to_rest,
     with_rests,
 )
-from learn2assemble.cell.site import TABLE, Site, Source, given_sources, outline, rests_of
+from learn2assemble.cell.site import Site, Source, given_sources, outline, rests_of, table_of
 from learn2assemble.cell.workcell import Job, Progress, StepOf
 from learn2assemble.cell.world import (
     LOOSE,
@@ -69,10 +70,6 @@ Base = tuple[float, float, float, float]
 """x, y, z [m] and the direction the arm faces [rad from x]."""
 FARTHEST, NEAREST = 0.85, 0.22
 """Of a base from the middle, and from the edge, of a structure [m]."""
-AWAY = 90.0
-"""No structure that an arm builds is farther from the origin [m]."""
-CENTRED = 0.15
-"""A structure whose middle is nearer to the origin stands there [m]."""
 DISTANCES = (0.5, 0.45, 0.55, 0.4, 0.6, 0.35, 0.65, 0.3, 0.7, 0.75)
 HEIGHTS = (0.0, 0.2, 0.4)
 """Of bases that are tried [m], the preferred ones first."""
@@ -199,21 +196,6 @@ def extreme(pieces: Sequence[Piece]) -> list[int]:
             way = np.array([math.cos(k * math.pi / 4), math.sin(k * math.pi / 4)])
             found.add(int(here[np.argmax(where[here] @ way)]))
     return sorted(found)
-
-
-def middle_of(pieces: Sequence[Piece]) -> np.ndarray:
-    """float64[2]: where a structure stands, to the millimetre [m]: at the origin, as designs do, or
-    elsewhere, as blocks may that are given.
-
-    Raises:
-        InputError: for one that is too far away for an arm to be said to stand there.
-    """
-    ends = np.array([piece.extent for piece in pieces])
-    middle = (ends[:, 0].min(0) + ends[:, 1].max(0))[:2] / 2
-    if np.linalg.norm(middle) > AWAY:
-        got = f"blocks {np.linalg.norm(middle):.0f} m from the origin"
-        raise InputError("design", got, f"blocks within {AWAY:g} m of it, for an arm")
-    return np.zeros(2) if np.linalg.norm(middle) < CENTRED else middle.round(3)
 
 
 def bases(pieces: Sequence[Piece], distances: Sequence[float] = DISTANCES) -> Iterator[Base]:
@@ -537,10 +519,7 @@ def supplied(
     taken = [*others, *(source.area.buffer(APART) for source in given)]
     taken += [outline(o).buffer(2 * APART) for o in job.obstacles if o.bottom < OVERHEAD]
     taken.append(shapely.Point(*job.base).buffer(0.16))
-    library: Any = shapely
-    # Who says nothing of the table has the middle of the structure on the middle of it.
-    at, half = middle_of(job.pieces) * (site.table == TABLE), np.array(site.table) / 2
-    table = library.box(*(at - half), *(at + half))
+    table = table_of(site, job.pieces)
     made: list[Source] = []
     progress(Detail("looking for places where blocks wait"))
     for shape in counted(missing, "kinds of blocks with a place to wait", progress):

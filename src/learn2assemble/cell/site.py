@@ -22,6 +22,7 @@ from learn2assemble.cell.pieces import (
     Pose,
     Turn,
     footprint,
+    middle_of,
     turn_key,
     waiting,
 )
@@ -72,7 +73,7 @@ _KEYS = (
     SAFETY,
 )
 TABLE = (1.5, 1.0)
-"""Size of the table along x and y, its middle at the origin [m]."""
+"""Size along x and y of a table of which nothing is said [m]."""
 
 T = TypeVar("T")
 
@@ -150,7 +151,9 @@ class Site:
 
     base: tuple[float, float, float, float] | None = None
     """x, y, z [m] of the arm's base, and the direction it faces [rad from x]."""
-    table: tuple[float, float] = TABLE
+    table: tuple[float, float] | None = None
+    """Along x and y, its middle at the origin [m]; None: of :data:`TABLE`, its middle that of the
+    structure."""
     obstacles: tuple[Obstacle, ...] = ()
     magazines: tuple[Magazine, ...] = ()
     pallets: tuple[Pallet, ...] = ()
@@ -207,7 +210,10 @@ def _site(value: Any, source: str, folder: Path) -> Site:
         lean = a, b
         if "covariance" in given:
             checked_covariance(given["covariance"], f"{source}: base.covariance", 6)
-    width, depth = _numbers(root.get("table", TABLE), f"{source}: table", 2, positive=True)
+    table = None
+    if "table" in root:
+        width, depth = _numbers(root["table"], f"{source}: table", 2, positive=True)
+        table = width, depth
 
     def every(key: str, make: Callable[[Any, str], T], most: int = MAX_ENTRIES) -> tuple[T, ...]:
         where = f"{source}: {key}"
@@ -229,7 +235,7 @@ def _site(value: Any, source: str, folder: Path) -> Site:
         arms = parse_arms(root["arms"], f"{source}: arms", count)
     site = Site(
         base,
-        (width, depth),
+        table,
         obstacles,
         every("magazines", _magazine),
         every("pallets", _pallet),
@@ -430,6 +436,17 @@ def check_kinds(site: Site, kinds: set[str]) -> None:
                 check_name(f"{site.source}: {name}[{n}].kind", entry.kind, kinds)
 
 
+def table_of(site: Site, pieces: Sequence[Piece]) -> Any:
+    """The table as a shapely polygon, seen from above: where no layout has one, about the
+    structure."""
+    import shapely
+
+    library: Any = shapely
+    half = np.array(site.table or TABLE) / 2
+    at = np.zeros(2) if site.table is not None else middle_of(pieces)
+    return library.box(*(at - half), *(at + half))
+
+
 def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[Piece]) -> None:
     """Refuse sources off the table, or where something else is.
 
@@ -438,8 +455,7 @@ def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[
     """
     import shapely
 
-    library: Any = shapely
-    table = library.box(*(-np.array(site.table) / 2), *(np.array(site.table) / 2))
+    table = table_of(site, pieces)
     structure = shapely.union_all([p.face() for p in pieces if p.extent[0][2] < 1e-3])
     blocked = [(o.name, outline(o)) for o in site.obstacles]
     for k, (what, area) in enumerate(blocked):
@@ -449,9 +465,8 @@ def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[
     for where, source in found:
         face, at = source.area, [round(v, 4) for v in source.pose]
         if not table.contains(face):
-            raise InputError(
-                where, at, f"a place on the table ({site.table[0]:g} x {site.table[1]:g} m)"
-            )
+            width, depth = site.table or TABLE
+            raise InputError(where, at, f"a place on the table ({width:g} x {depth:g} m)")
         if face.intersection(structure).area > 1e-9:
             raise InputError(where, at, "a place outside the building site")
         for what, area in blocked:

@@ -18,7 +18,7 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep
 from learn2assemble.assembly.contacts import GROUND, Contacts, find_contacts
 from learn2assemble.cell.crew import ArmCrew, Member, leaning
-from learn2assemble.cell.pieces import Piece, pieces_of, ways_to_rest, with_rests
+from learn2assemble.cell.pieces import Piece, middle_of, pieces_of, ways_to_rest, with_rests
 from learn2assemble.cell.reach import (
     APART,
     DISTANCES,
@@ -28,7 +28,6 @@ from learn2assemble.cell.reach import (
     check_held,
     check_reached,
     extreme,
-    middle_of,
     nowhere,
     place_arm,
     reach_from,
