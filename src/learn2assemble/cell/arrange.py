@@ -218,12 +218,14 @@ def where_pressed(
     Args:
         standing: what is in its place by then, in the structure or beside.
     """
-    beside = np.zeros(3) if step.group else world.beside[step.block]
-    near = {k for k in standing if (world.beside[k] == beside).all()} - {step.block, *step.group}
+    there = np.array(step.to) if step.group else world.beside[step.block]
+    near = {k for k in standing if (world.beside[k] == there).all()} - {step.block, *step.group}
     at = structure.press_at(step.block, step.group, near)
     if at is None:
         return None
-    place = world.pieces[step.block].pose if step.group else world.target(step.block)
+    place = world.pieces[step.block].pose[:2] + there[:2]
+    if not step.group:
+        place = world.target(step.block)[:2]
     return float(place[0] + at[0]), float(place[1] + at[1])
 
 
@@ -231,7 +233,7 @@ def ends_of(world: WorkcellBlocks, step: StepOf) -> Iterator[tuple[np.ndarray | 
     """Where the block of a step may come from, None for where it stands, and where it goes."""
     k = step.block
     if step.group:
-        yield None, world.pieces[k].pose
+        yield None, world.pieces[k].pose + np.array([*step.to, 0.0, 0.0, 0.0, 0.0])
         return
     for source in supply_of(world, k):
         at = world.presented(k, source)
@@ -246,7 +248,7 @@ def describe(found: Attempt) -> str:
 def put_beside(world: WorkcellBlocks, steps: Sequence[StepOf]) -> None:
     """Blocks are to be built beside, where steps say so."""
     for step in steps:
-        if step.beside is not None:
+        if step.beside is not None and not step.group:
             world.beside[step.block] = step.beside
 
 
@@ -281,7 +283,7 @@ def _as_found(job: Job) -> Waits:
     parts, owner = list[np.ndarray](), list[int]()
     for number, step in enumerate(job.steps):
         for k in (step.block, *step.group):
-            shift = np.zeros(3) if step.group else world.beside[k]
+            shift = np.array(step.to) if step.group else world.beside[k]
             parts.append(np.array(job.pieces[k].extent) + shift)
             owner.append(number)
     low, high = np.array(parts).reshape(-1, 2, 3).transpose(1, 0, 2)

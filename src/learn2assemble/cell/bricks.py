@@ -16,7 +16,7 @@ from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.bricks.lattice import GROUND, grip
 from learn2assemble.assembly.bricks.mates import BrickMates, Press
 from learn2assemble.cell.structure import Structure
-from learn2assemble.cell.workcell import Job, StepOf
+from learn2assemble.cell.workcell import Job, Offset, StepOf
 from learn2assemble.cell.world import STANDING, Rows, WorkcellBlocks
 from learn2assemble.robot.studs import StudJoint, Studs
 from learn2assemble.statics.holding import Balance, Need, Push
@@ -159,20 +159,26 @@ class BrickStructure(Structure):
         return Studs(tuple(self._joints.values()), self.states.joint.press)
 
     def joints_of(
-        self, world: WorkcellBlocks, rows: Rows, placing: bool, group: tuple[int, ...] = ()
+        self,
+        world: WorkcellBlocks,
+        rows: Rows,
+        placing: bool,
+        group: tuple[int, ...] = (),
+        to: Offset = (0.0, 0.0, 0.0),
     ) -> Studs:
         """The joints of a scene, in its rows.
 
         Args:
             rows: the scene, in which a brick waits, perhaps with what it brings along.
             placing: whether it comes to its place.
-            group: what it brings along.
+            group: what it brings along, ...
+            to: ... and how far from their places.
         """
         row = {k: n for n, k in enumerate(rows.owner.tolist()) if 0 <= k < self.states.mates.count}
         moving = {int(rows.owner[-1]), *group, *rows.owner[rows.scene.num_placed :].tolist()}
         beside = world.beside.copy()
         if group:
-            beside[list(moving)] = 0.0
+            beside[list(moving)] = to
         found = list[StudJoint]()
         for (a, b), joint in self._joints.items():
             there = [k for k in (a, b) if k != GROUND]
@@ -235,7 +241,7 @@ class BrickStructure(Structure):
         own = (step.block, *step.group)
         beside = world.beside[: self.states.mates.count].copy()
         if step.group:
-            beside[list(own)] = 0.0
+            beside[list(own)] = step.to
         for there in np.unique(beside, axis=0):
             whole = np.flatnonzero((beside == there).all(1)).tolist()
             part = frozenset(whole) & (standing | set(own))

@@ -199,10 +199,10 @@ class Building:
         height, home = UNCERTAIN, None
         if move is not None and rows is not None:
             # While what is taken to stand already does so.
-            studs = self.known.structure.joints_of(world, rows, placing, action.group)
+            studs = self.known.structure.joints_of(world, rows, placing, action.group, action.to)
             rows = rows._replace(scene=rows.scene._replace(studs=studs))
             if placing:
-                height, home = self.known.height(k), self.known.home(k, action.group)
+                height, home = self.known.height(k), self.known.home(k, action.group, action.to)
         self.chosen()
         if move is None or rows is None:
             if presented:
@@ -385,8 +385,8 @@ class Building:
     def _press(self, action: Action) -> tuple[float, float] | None:
         """Where a block is pressed home, x and y [m]; None: it is not."""
         k, taken = action.block, (action.block, *action.group)
-        beside = np.zeros(3) if action.group else self.world.beside[k]
-        apart = (self.world.beside == beside).all(1)
+        there = np.array(action.to) if action.group else self.world.beside[k]
+        apart = (self.world.beside == there).all(1)
         here = {n for n in self.known.standing() if apart[n]} - set(taken)
         at = self.known.structure.press_at(k, action.group, here)
         return None if at is None else (action.goal[0] + at[0], action.goal[1] + at[1])
@@ -395,7 +395,7 @@ class Building:
         """Which joints of studs are home now, as far as that is known: those of a block that was
         pressed, and none of one that was taken elsewhere. What was built beside is so no more."""
         if pressed and action.what == "attach":
-            self.world.beside[[action.block, *action.group]] = 0.0
+            self.world.beside[[action.block, *action.group]] = action.to
         taken, home = {action.block, *action.group}, self.world.home
         for pair in [pair for pair in home if len(taken & set(pair)) == 1]:
             home.discard(pair)

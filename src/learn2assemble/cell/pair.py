@@ -169,10 +169,10 @@ def possible(
             stuck[step.block] = why
         standing = standing - {step.block} if step.remove else standing | {step.block}
         for k in step.group:
-            world.beside[k] = 0.0
+            world.beside[k] = step.to
             world.pose[k] = world.target(k)
         if step.group:
-            world.beside[step.block] = 0.0
+            world.beside[step.block] = step.to
         world.pose[step.block] = world.target(step.block)
         world.state[step.block] = RETURNED if step.remove else STANDING
     return steps, stuck

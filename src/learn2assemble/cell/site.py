@@ -439,11 +439,16 @@ def check_kinds(site: Site, kinds: set[str]) -> None:
 def table_of(site: Site, pieces: Sequence[Piece]) -> Any:
     """The table as a shapely polygon, seen from above: where no layout has one, about the
     structure."""
+    at = np.zeros(2) if site.table is not None else middle_of(pieces)
+    return _table_about(at, site)
+
+
+def _table_about(at: np.ndarray, site: Site) -> Any:
+    """The table as a shapely polygon with its middle at float64[2] [m]."""
     import shapely
 
     library: Any = shapely
     half = np.array(site.table or TABLE) / 2
-    at = np.zeros(2) if site.table is not None else middle_of(pieces)
     return library.box(*(at - half), *(at + half))
 
 
@@ -455,7 +460,8 @@ def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[
     """
     import shapely
 
-    table = table_of(site, pieces)
+    # Of a table of which nothing is said, who says where blocks wait may think of either place.
+    table = table_of(site, pieces).union(_table_about(np.zeros(2), site))
     structure = shapely.union_all([p.face() for p in pieces if p.extent[0][2] < 1e-3])
     blocked = [(o.name, outline(o)) for o in site.obstacles]
     for k, (what, area) in enumerate(blocked):

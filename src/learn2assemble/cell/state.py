@@ -18,7 +18,7 @@ from learn2assemble.cell.arrange import Arranged, Waits, steps_before
 from learn2assemble.cell.fitting import OPEN, Fitting
 from learn2assemble.cell.pieces import Piece
 from learn2assemble.cell.structure import Structure
-from learn2assemble.cell.workcell import LEANS, STANDS, STRAYED, TRIES, Job, StepOf
+from learn2assemble.cell.workcell import LEANS, STANDS, STRAYED, TRIES, Job, Offset, StepOf
 from learn2assemble.cell.world import (
     LOOSE,
     LOST,
@@ -51,7 +51,9 @@ class Action(NamedTuple):
     source: int | None = None
     """Where it comes from, or where it goes to where it is taken away."""
     group: tuple[int, ...] = ()
-    """What it brings along."""
+    """What it brings along, ..."""
+    to: Offset = (0.0, 0.0, 0.0)
+    """... and how far from their places."""
 
 
 @dataclasses.dataclass
@@ -97,7 +99,7 @@ class Choice:
         self.by_hand: frozenset[StepOf] = found.by_hand
         self.world: WorkcellBlocks = WorkcellBlocks(job)
         for step in self.order:
-            if step.beside is not None:
+            if step.beside is not None and not step.group:
                 self.world.beside[step.block] = step.beside
         self.fails: Counter[tuple[int, str]] = Counter()
         """By block and what was tried: failures since the last success."""
@@ -111,7 +113,8 @@ class Choice:
         """Blocks whose way another arm is in."""
         self.waits: Waits = {}
         """By step, those that come before it, which it would be in the way of."""
-        if job.standing:
+        if job.standing or any(step.group and step.beside is not None for step in self.planned):
+            # Of pieces that are built of pieces, all come in their order.
             self.waits = steps_before(replace(job, steps=self.planned), structure, self.planned)
         self.done: list[Done] = []
         self.fitting: Fitting = Fitting(self.world, structure.studs() is not None)
@@ -148,7 +151,7 @@ class Choice:
         state = self.world.state[step.block]
         if step.group:
             there = [self.world.state[k] == STANDING for k in (step.block, *step.group)]
-            return all(there) and not self.world.beside[step.block].any()
+            return all(there) and bool((self.world.beside[step.block] != step.whence).any())
         return state == RETURNED or (not step.remove and state == STANDING)
 
     def choose(self) -> Action | str | None:
@@ -224,8 +227,8 @@ class Choice:
         if step in self.by_hand:
             return Action(k, self.fitted(k), "hand")
         if step.group:
-            goal = self.fitted(k, step.group)
-            return Action(k, goal, "attach", None, step.group)
+            goal = self.fitted(k, step.group, step.to)
+            return Action(k, goal, "attach", None, step.group, step.to)
         if step.remove:
             goal = self._away(k)
             return goal if isinstance(goal, str) else goal._replace(what="remove")
@@ -312,9 +315,12 @@ class Choice:
         if step.remove:
             return set(self.structure.loads(k, standing))
         if step.group:
-            group = {k, *step.group}
-            there = {n for n in standing if not self.world.beside[n].any()}
-            return group - standing | set[int]().union(*(below[n] for n in group)) - group - there
+            group, at = {k, *step.group}, (self.world.beside == step.to).all(1)
+            needed = set[int]().union(*(below[n] for n in group)) - group
+            if step.beside is not None:
+                # The rest of what carries it comes when the larger piece is brought.
+                needed = {n for n in needed if at[n]}
+            return group - standing | needed - {n for n in standing if at[n]}
         if self.world.beside[k].any():
             return self._bed(k) - standing
         there = standing & self._together(k)
@@ -385,28 +391,34 @@ class Choice:
             return True
         return any(source.magazine and source.area.intersects(near) for source in self.job.sources)
 
-    def fitted(self, k: int, group: tuple[int, ...] = ()) -> np.ndarray:
+    def fitted(
+        self, k: int, group: tuple[int, ...] = (), to: Offset = (0.0, 0.0, 0.0)
+    ) -> np.ndarray:
         """float64[7]: where a block goes, with what it brings along, see
-        :class:`~.fitting.Fitting`."""
-        with self._joined(k, group) as others:
+        :class:`~.fitting.Fitting`; that goes so far from its place."""
+        with self._joined(k, group, to) as others:
             coming = {n for n in others & self.comes if self.world.state[n] in (STOCK, LOOSE)}
             return self.fitting.goal(k, self.standing() & others, coming)
 
-    def home(self, k: int, group: tuple[int, ...] = ()) -> np.ndarray | None:
+    def home(
+        self, k: int, group: tuple[int, ...] = (), to: Offset = (0.0, 0.0, 0.0)
+    ) -> np.ndarray | None:
         """float64[7]: where knobs draw a brick, with what it brings along; None: it is on none."""
         if self.structure.studs() is None:
             return None
-        with self._joined(k, group) as others:
+        with self._joined(k, group, to) as others:
             return self.fitting.home(k, self.standing() & others)
 
     @contextmanager
-    def _joined(self, k: int, group: tuple[int, ...]) -> Generator[set[int], None, None]:
+    def _joined(
+        self, k: int, group: tuple[int, ...], to: Offset
+    ) -> Generator[set[int], None, None]:
         """Pieces of the part of the structure that a block comes to, without what it brings along;
         meanwhile that is taken to belong to the structure."""
         world, taken = self.world, [k, *group]
         beside = world.beside[taken].copy()
         if group:
-            world.beside[taken] = 0.0
+            world.beside[taken] = to
         try:
             yield self._together(k) - set(taken)
         finally:

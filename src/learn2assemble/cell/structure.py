@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from learn2assemble.cell.workcell import DOWN, Direction, Job, StepOf
+from learn2assemble.cell.workcell import DOWN, Direction, Job, Offset, StepOf
 from learn2assemble.cell.world import Rows, WorkcellBlocks, direction_of
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.clearance import ways_out
@@ -166,7 +166,12 @@ class Structure:
         return ByLoads.of_contacts(self.job.assembly, self.lying, self.job.friction, clock)
 
     def joints_of(
-        self, world: WorkcellBlocks, rows: Rows, placing: bool, group: tuple[int, ...] = ()
+        self,
+        world: WorkcellBlocks,
+        rows: Rows,
+        placing: bool,
+        group: tuple[int, ...] = (),
+        to: Offset = (0.0, 0.0, 0.0),
     ) -> Studs | None:
         """The joints of studs of a scene, in its rows; None: there are no studs."""
         return None

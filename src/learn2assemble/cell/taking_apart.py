@@ -4,13 +4,16 @@ From the finished structure bricks are taken off upwards, one by one: the highes
 is left stands, stood while the brick was pressed home, and the arm can bring it there among what is
 left; order and grasp are chosen together. Where a brick cannot be pressed on alone, it is taken off
 together with what it carries, or with all that is over it: that part is built beside, on the table,
-and brought as one. Read backwards, that is an order of building.
+and brought as one. Such a part is taken apart in the same manner, so it may have parts of its own:
+what juts out step by step, and tips when it is pressed on out there, is built from its end inwards,
+every part pressed on where the next brick stands on the table. Read backwards, that is an order of
+building.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -30,11 +33,18 @@ if TYPE_CHECKING:
 
 TRIES = 300, 10
 """Bricks taken off before the search gives up: so many, and so many for each one there is."""
-MOST_BESIDE, MOST_PLACES = 12, 6
-"""Bricks of a part that is built beside, and places on the table that are tried for it."""
+MOST_BESIDE, MOST_PLACES, PLACES_WITHIN = 12, 6, 2
+"""Bricks of a part that is built beside, places on the table that are tried for it, and for a part
+of such a part."""
+TRIES_BESIDE = 200
+"""Bricks taken off a part before it counts as one that cannot be built by itself."""
 _NO_ORDER = "no order is known in which what stands before it bears that it is pressed home"
 APART, GRID = 0.05, 0.04
 """Between what is built beside and everything else, and between places that are tried [m]."""
+
+
+There = tuple[tuple[Offset | None, frozenset[int]], ...]
+"""Bricks that stand, by how far from their places: None for the structure."""
 
 
 class _Subassembly(NamedTuple):
@@ -45,12 +55,18 @@ class _Subassembly(NamedTuple):
     number: dict[int, int]
     """Of each brick in the states."""
     beside: Offset | None = None
-    rest: frozenset[int] = frozenset()
-    """What stands in the structure meanwhile."""
+    around: There = ()
+    """What stands meanwhile, but of the part."""
+    within: _Subassembly | None = None
+    """What it is a part of."""
 
-    def of(self, bricks: frozenset[int]) -> frozenset[int]:
+    def of(self, bricks: Iterable[int]) -> frozenset[int]:
         """The same bricks as the states number them."""
         return frozenset(self.number[b] for b in bricks)
+
+    def loose(self, bricks: frozenset[int]) -> frozenset[int]:
+        """Those of its bricks that hang on nothing that stands, if only these are there."""
+        return frozenset(self.bricks[n] for n in self.states.loose(self.of(bricks)))
 
 
 class _TakenOff(NamedTuple):
@@ -124,16 +140,27 @@ def _order_in_a_level(low: np.ndarray, bases: Sequence[np.ndarray]) -> np.ndarra
 
 class _Removals:
     """What is taken off next of a part; rules of a search
-    (:class:`~learn2assemble.planning.sequence.OrderRules`)."""
+    (:class:`~learn2assemble.planning.sequence.OrderRules`).
+
+    Args:
+        part: that is taken apart.
+        removals: what may be taken off where some of it is there.
+        tries: bricks that are taken off before the search gives up.
+    """
 
     patient = True
 
-    def __init__(self, arm: _Disassembly, part: _Subassembly) -> None:
-        self.arm, self.part, start = arm, part, frozenset(part.bricks)
-        self.first, self.tries = _TakenOff(start, ()), TRIES[0] + TRIES[1] * len(start)
+    def __init__(
+        self,
+        part: _Subassembly,
+        removals: Callable[[_Subassembly, frozenset[int]], Iterator[_TakenOff]],
+        tries: int,
+    ) -> None:
+        self.part, self.removals, self.tries = part, removals, tries
+        self.first = _TakenOff(frozenset(part.bricks), ())
 
     def moves(self, last: _TakenOff) -> Iterator[_TakenOff]:
-        return self.arm.removals(self.part, last.present)
+        return self.removals(self.part, last.present)
 
     def settled(self, move: _TakenOff) -> _TakenOff:
         return move
@@ -161,12 +188,17 @@ class _Disassembly:
         """By brick, why the arm cannot bring it, as was last found."""
         self.stuck: tuple[int, ...] = ()
         self._known: dict[tuple[Any, ...], bool] = {}
+        self._tables: dict[tuple[int, ...], BrickStates] = {}
+        """Of parts that are built beside."""
+        self._alone: dict[tuple[int, ...], bool] = {}
+        """Whether such a part can be built, whatever the arms reach."""
 
     def take_apart(self, part: _Subassembly) -> list[StepOf] | None:
         """The steps of building a part, or None."""
         tell = self.progress if part.beside is None else silent
+        tries = TRIES[0] + TRIES[1] * len(part.bricks)
         order = depth_first(
-            _Removals(self, part),
+            _Removals(part, self.removals, tries),
             Clock(math.inf),
             lambda text: tell(Detail(f"an order the arm can reach: {text}")),
         )
@@ -177,21 +209,26 @@ class _Disassembly:
         return None
 
     def removals(self, part: _Subassembly, present: frozenset[int]) -> Iterator[_TakenOff]:
-        """What may be taken off: alone, then with what it carries."""
+        """What may be taken off and brought by an arm: alone, then with what it carries."""
+        for group in self._groups(part, present):
+            rest = present - group
+            if len(group) > 1:
+                yield from self._beside(part, group, rest)
+                continue
+            step = StepOf(next(iter(group)), beside=part.beside)
+            if self._fits(step, (*part.around, (part.beside, rest))):
+                yield _TakenOff(rest, (step,))
+
+    def _groups(self, part: _Subassembly, present: frozenset[int]) -> Iterator[frozenset[int]]:
+        """What may be taken off, whatever the arms reach: one brick, then several."""
         over, covered = [set(a.tolist()) for a in self.structure.states.mates.over], list[int]()
         for b in (b for b in self.rank if b in present):
-            rest = present - {b}
-            loose = part.states.loose(part.of(rest))
-            if over[b] & present or loose:
+            if over[b] & present or part.loose(present - {b}):
                 covered.append(b)
-            elif self._pressed(part, (b,), rest):
-                step = StepOf(b, beside=part.beside)
-                if self._fits(step, rest, part):
-                    yield _TakenOff(rest, (step,))
-        if part.beside is not None:
-            return
+            elif self._pressed(part, (b,), present - {b}):
+                yield frozenset({b})
         tried = {frozenset({b}) for b in present}
-        hanging = (frozenset({b, *part.states.loose(present - {b})}) for b in covered)
+        hanging = (frozenset({b, *part.loose(present - {b})}) for b in covered)
         over_it = (self._over(part, b, present) for b in covered)
         # What stands on others, too, is brought with a brick only where nothing else goes on.
         for groups in (hanging, over_it):
@@ -200,7 +237,35 @@ class _Disassembly:
                 free = not any(over[g] & rest for g in group)
                 if group not in tried and rest and free and len(group) <= MOST_BESIDE:
                     tried.add(group)
-                    yield from self._beside(part, group, rest)
+                    if self._pressed(part, tuple(sorted(group)), rest) and self._made(group):
+                        yield group
+
+    def _made(self, group: frozenset[int]) -> bool:
+        """Whether a part can be built beside, whatever the arms reach."""
+        bricks = tuple(sorted(group))
+        if bricks not in self._alone:
+            part = self._part(bricks)
+
+            def removals(part: _Subassembly, present: frozenset[int]) -> Iterator[_TakenOff]:
+                return (_TakenOff(present - one, ()) for one in self._groups(part, present))
+
+            self._alone[bricks] = part.states.need.stands and (
+                depth_first(_Removals(part, removals, TRIES_BESIDE), Clock(math.inf)).complete
+            )
+        return self._alone[bricks]
+
+    def _part(
+        self,
+        bricks: tuple[int, ...],
+        beside: Offset | None = None,
+        around: There = (),
+        within: _Subassembly | None = None,
+    ) -> _Subassembly:
+        """Bricks that are built beside."""
+        if bricks not in self._tables:
+            self._tables[bricks] = self.structure.states.on_table(bricks)
+        number = {b: n for n, b in enumerate(bricks)}
+        return _Subassembly(bricks, self._tables[bricks], number, beside, around, within)
 
     def _over(self, part: _Subassembly, b: int, present: frozenset[int]) -> frozenset[int]:
         """A brick with all that is over it, and what hangs on that."""
@@ -208,7 +273,7 @@ class _Disassembly:
         while more:
             group |= more
             above = {k for g in group for k in over[g].tolist()} & present
-            more = frozenset({*above, *part.states.loose(present - group)}) - group
+            more = frozenset({*above, *part.loose(present - group)}) - group
         return group
 
     def _pressed(self, part: _Subassembly, group: tuple[int, ...], rest: frozenset[int]) -> bool:
@@ -225,19 +290,20 @@ class _Disassembly:
         self, part: _Subassembly, group: frozenset[int], rest: frozenset[int]
     ) -> Iterator[_TakenOff]:
         """Bricks that are built beside and brought together."""
-        if not self._pressed(part, tuple(sorted(group)), rest):
-            return
         bricks = tuple(sorted(group))
-        table = self.structure.states.on_table(bricks)
-        if not table.need.stands:
-            return
-        holders = [g for g in self.rank if g in group and part.states.stands(group, g)]
+        around = *part.around, (part.beside, rest)
+        holders = [
+            g
+            for g in self.rank
+            if g in group and part.states.stands(part.of(group), part.number[g])
+        ]
         holders.sort(key=lambda g: self._lever(g, bricks, rest))
-        for place in self._places(bricks, rest):
-            own = _Subassembly(bricks, table, {b: n for n, b in enumerate(bricks)}, place, rest)
+        for place in self._places(bricks, part):
+            own = self._part(bricks, place, around, part)
             for g in holders:
-                step = StepOf(g, group=tuple(b for b in bricks if b != g))
-                if not self._fits(step, rest, own):
+                others = tuple(b for b in bricks if b != g)
+                step = StepOf(g, beside=part.beside, group=others, whence=place)
+                if not self._fits(step, (*around, (place, group))):
                     continue
                 steps = self.take_apart(own)
                 if steps is not None:
@@ -251,14 +317,19 @@ class _Disassembly:
         at = self.structure.press_at(g, others, set(rest))
         return 0.0 if at is None else round(math.hypot(*at), 3)
 
-    def _places(self, bricks: tuple[int, ...], rest: frozenset[int]) -> Iterator[Offset]:
-        """Where on the table some bricks may be built, the nearest places first."""
+    def _places(self, bricks: tuple[int, ...], part: _Subassembly) -> Iterator[Offset]:
+        """Where on the table some bricks of a part may be built, the nearest places first."""
         import shapely
 
         jobs = [one.job for one in self.arms]
         pieces = jobs[0].pieces
         lying = [pieces[k].face() for k in range(len(pieces))]
         lying += [source.area for job in jobs for source in job.sources]
+        most, outer = MOST_PLACES, part
+        while outer.beside is not None and outer.within is not None:
+            x, y, _ = outer.beside
+            lying += [shapely.affinity.translate(pieces[k].face(), x, y) for k in outer.bricks]
+            most, outer = PLACES_WITHIN, outer.within
         taken = shapely.union_all(lying).buffer(APART)
         face = shapely.union_all([pieces[b].face() for b in bricks])
         ground = min(float(pieces[b].extent[0][2]) for b in bricks)
@@ -273,47 +344,33 @@ class _Disassembly:
             if not shapely.affinity.translate(face, x, y).intersects(taken):
                 yield x, y, -ground
                 found += 1
-                if found >= MOST_PLACES:
+                if found >= most:
                     return
 
     # ------------------------------------------------------------ the arm
 
-    def _fits(self, step: StepOf, rest: frozenset[int], part: _Subassembly) -> bool:
-        """Whether an arm can do a step when ``rest`` stands: of the structure, or, where a part is
-        built beside, of that."""
-        staged = frozenset[int]()
-        standing = rest
-        if part.beside is not None:
-            staged = frozenset(part.bricks) if step.group else rest
-            standing = part.rest
-        key = step, standing, staged, part.beside
+    def _fits(self, step: StepOf, there: There) -> bool:
+        """Whether an arm can do a step when some bricks stand."""
+        key = step, there
         if key not in self._known:
-            self._known[key] = any(
-                self._reached(number, step, standing, staged, part.beside)
-                for number in range(len(self.arms))
-            )
+            arms = range(len(self.arms))
+            self._known[key] = any(self._reached(number, step, there) for number in arms)
         return self._known[key]
 
-    def _reached(
-        self,
-        number: int,
-        step: StepOf,
-        standing: frozenset[int],
-        staged: frozenset[int],
-        beside: Offset | None,
-    ) -> bool:
+    def _reached(self, number: int, step: StepOf, there: There) -> bool:
         """Whether one of the arms can."""
-        world = self.worlds[number]
+        world, standing = self.worlds[number], set[int]()
         pose, state = self._waits[number]
         world.pose[:], world.state[:] = pose, state
         world.beside[:] = 0.0
-        for k in staged:
-            world.beside[k] = beside or 0.0
-        if step.beside is not None:
+        if step.beside is not None and not step.group:
             world.beside[step.block] = step.beside
-        for k in standing | staged:
-            world.pose[k], world.state[k] = world.target(k), STANDING
-        press = where_pressed(self.structure, world, step, standing | staged)
+        for beside, bricks in there:
+            standing |= bricks
+            for k in bricks:
+                world.beside[k] = beside or 0.0
+                world.pose[k], world.state[k] = world.target(k), STANDING
+        press = where_pressed(self.structure, world, step, standing)
         why = try_step(world, self.arms[number].cell, step, press=press)
         if why is not None:
             self.why[step.block] = why

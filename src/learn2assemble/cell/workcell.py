@@ -56,7 +56,15 @@ class StepOf(NamedTuple):
     """How far from its place it is put: it is part of a piece of the structure that is built
     beside, on the table."""
     group: tuple[int, ...] = ()
-    """The other blocks of such a piece, which it brings along to their places."""
+    """The other blocks of such a piece, which it brings along: to their places, or to a larger
+    piece that is built beside, too."""
+    whence: Offset = (0.0, 0.0, 0.0)
+    """How far from their places these were built."""
+
+    @property
+    def to(self) -> Offset:
+        """How far from its place it is put."""
+        return self.beside or (0.0, 0.0, 0.0)
 
     @property
     def plain(self) -> StepOf:
