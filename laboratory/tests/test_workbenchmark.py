@@ -150,10 +150,11 @@ def product(*lines: str) -> Assembly:
 
 
 @pytest.mark.parametrize("number", [5, 66])
-def test_two_products_have_no_order_that_bears_its_presses(number: int) -> None:
+def test_two_products_are_built_of_parts_that_have_parts(number: int) -> None:
     found = press_orders(product(*PRODUCTS[number]))
     assert not found.alone
     assert not found.beside
+    assert found.within
     assert found.states > 1
 
 
@@ -180,7 +181,7 @@ def test_what_falls_has_no_order() -> None:
     """Bricks that reach out one stud each, without the strength to."""
     lines = [f"22 {2 * k} 0 {k}" for k in range(6)]
     made = product(*lines)
-    assert not press_orders(replace(made, joint=replace(made.joint, capacity=0.0))).beside
+    assert not press_orders(replace(made, joint=replace(made.joint, capacity=0.0))).within
 
 
 def test_many_bricks_are_refused() -> None:

@@ -3,8 +3,8 @@
 An order of building, read backwards, takes bricks off a structure. Here everything is taken off
 that an order without supports could take off, whatever an arm reaches: a brick that is free from
 above, or any bricks of which one, held alone, carries the others, so that they can be built beside
-it and brought as one. Where no way of taking off leads from the whole structure to nothing, every
-order has a press, or a state, that does not stand without a support.
+it and brought as one, perhaps in such parts again. Where no way of taking off leads from the whole
+structure to nothing, every order has a press, or a state, that does not stand without a support.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ class PressOrders(NamedTuple):
     alone: bool
     """Whether an order of single bricks bears its presses."""
     beside: bool
-    """Whether one does where bricks are built beside, too."""
+    """Whether one does where bricks are built beside, too, brick by brick, ..."""
+    within: bool
+    """... and where what is built beside may have parts that are built beside that."""
     states: int
     """How many states were reached from the whole structure, itself included."""
 
@@ -48,14 +50,22 @@ def press_orders(assembly: Assembly) -> PressOrders:
     search = _Exhaustion(assembly)
     alone, few = search.reach(parts=False)
     beside, many = (alone, few) if alone else search.reach(parts=True)
-    return PressOrders(alone, beside, many)
+    within = beside
+    if not beside:
+        within, many = _Exhaustion(assembly, within=True).reach(parts=True)
+    return PressOrders(alone, beside, within, many)
 
 
 class _Exhaustion:
-    """Everything that may be taken off, of every state."""
+    """Everything that may be taken off, of every state.
 
-    def __init__(self, assembly: Assembly) -> None:
-        self.states = BrickStates(assembly)
+    Args:
+        assembly: the bricks.
+        within: whether what is built beside may have parts of its own.
+    """
+
+    def __init__(self, assembly: Assembly, within: bool = False) -> None:
+        self.states, self.within = BrickStates(assembly), within
         self.over = [frozenset(over.tolist()) for over in self.states.mates.over]
         self.whole = frozenset(range(len(assembly.blocks)))
         self._beside: dict[frozenset[int], bool] = {}
@@ -79,15 +89,17 @@ class _Exhaustion:
 
     def _after(self, present: frozenset[int], parts: bool) -> Iterator[frozenset[int]]:
         """What is left where something comes off a state that stands."""
-        most = len(present) if parts else 1
+        for group in self._free(present, len(present) if parts else 1):
+            if _bears(self.states, tuple(sorted(group)), present - group):
+                yield present - group
+
+    def _free(self, present: frozenset[int], most: int) -> Iterator[frozenset[int]]:
+        """What nothing is over: a brick, then up to so many that can be built beside."""
         for size in range(1, most + 1):
             for group in map(frozenset, combinations(sorted(present), size)):
-                rest = present - group
-                if any(self.over[b] & rest for b in group):
-                    continue
-                possible = size == 1 or self.built_beside(group)
-                if possible and _bears(self.states, tuple(sorted(group)), rest):
-                    yield rest
+                over = any(self.over[b] & (present - group) for b in group)
+                if not over and (size == 1 or self.built_beside(group)):
+                    yield group
 
     def built_beside(self, group: frozenset[int]) -> bool:
         """Whether bricks stand on a table, can be put together there, and are carried by one."""
@@ -100,17 +112,19 @@ class _Exhaustion:
 
     def _put_together(self, group: frozenset[int]) -> bool:
         bricks = tuple(sorted(group))
-        table = self.states.on_table(bricks)
-        whole = frozenset(range(len(bricks)))
-        if not table.stands(whole):
+        table, number = self.states.on_table(bricks), {b: n for n, b in enumerate(bricks)}
+        if not table.stands(frozenset(range(len(bricks)))):
             return False
-        over = [frozenset(some.tolist()) for some in table.mates.over]
-        seen, left = {whole}, [whole]
+        seen, left = {group}, [group]
         while left:
             present = left.pop()
-            for b in present:
-                rest = present - {b}
-                if rest not in seen and not over[b] & rest and _bears(table, (b,), rest):
+            # A part of it is smaller than all of it.
+            most = min(len(present), len(group) - 1) if self.within else 1
+            for part in self._free(present, most):
+                rest = present - part
+                there = frozenset(number[b] for b in rest)
+                own = tuple(number[b] for b in sorted(part))
+                if rest not in seen and _bears(table, own, there):
                     if not rest:
                         return True
                     seen.add(rest)

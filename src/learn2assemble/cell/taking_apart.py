@@ -12,6 +12,7 @@ building.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -36,9 +37,14 @@ TRIES = 300, 10
 MOST_BESIDE, MOST_PLACES, PLACES_WITHIN = 12, 6, 2
 """Bricks of a part that is built beside, places on the table that are tried for it, and for a part
 of such a part."""
+FIRM = 0.001
+"""The centre of mass of what is built beside is over what stands on the table, and so far from the
+edge of that at least [m]."""
 TRIES_BESIDE = 200
 """Bricks taken off a part before it counts as one that cannot be built by itself."""
 _NO_ORDER = "no order is known in which what stands before it bears that it is pressed home"
+LEVEL = 1e-4
+"""Bricks whose lowest points differ by less in height stand on one level [m]."""
 APART, GRID = 0.05, 0.04
 """Between what is built beside and everything else, and between places that are tried [m]."""
 
@@ -90,10 +96,10 @@ def arrange_bricks(
     every = tuple(range(len(arms[0].job.pieces)))
     part = _Subassembly(every, structure.states, {k: k for k in every})
     search = None
-    for room in ROOMS:
+    for within, room in itertools.product((False, True), ROOMS):
         for one in arms:
             one.cell.apart = room
-        search = _Disassembly(arms, structure, progress)
+        search = _Disassembly(arms, structure, within, progress)
         steps = search.take_apart(part)
         if steps is not None:
             break
@@ -173,12 +179,17 @@ class _Removals:
 
 
 class _Disassembly:
-    """What arms can take off, and bring back."""
+    """What arms can take off, and bring back.
+
+    Args:
+        within: whether what is built beside may have parts of its own.
+    """
 
     def __init__(
-        self, arms: Sequence[Hands], structure: BrickStructure, progress: Progress
+        self, arms: Sequence[Hands], structure: BrickStructure, within: bool, progress: Progress
     ) -> None:
         self.arms, self.structure, self.progress = arms, structure, progress
+        self.within = within
         self.worlds = [WorkcellBlocks(one.job) for one in arms]
         self._waits = [(world.pose.copy(), list(world.state)) for world in self.worlds]
         low = np.array([piece.extent[0] for piece in arms[0].job.pieces])
@@ -192,6 +203,8 @@ class _Disassembly:
         """Of parts that are built beside."""
         self._alone: dict[tuple[int, ...], bool] = {}
         """Whether such a part can be built, whatever the arms reach."""
+        self._firm: dict[tuple[tuple[int, ...], frozenset[int]], bool] = {}
+        """Whether some of it stand on the table."""
 
     def take_apart(self, part: _Subassembly) -> list[StepOf] | None:
         """The steps of building a part, or None."""
@@ -227,6 +240,8 @@ class _Disassembly:
                 covered.append(b)
             elif self._pressed(part, (b,), present - {b}):
                 yield frozenset({b})
+        if not (self.within or part.states is self.structure.states):
+            return
         tried = {frozenset({b}) for b in present}
         hanging = (frozenset({b, *part.loose(present - {b})}) for b in covered)
         over_it = (self._over(part, b, present) for b in covered)
@@ -249,7 +264,7 @@ class _Disassembly:
             def removals(part: _Subassembly, present: frozenset[int]) -> Iterator[_TakenOff]:
                 return (_TakenOff(present - one, ()) for one in self._groups(part, present))
 
-            self._alone[bricks] = part.states.need.stands and (
+            self._alone[bricks] = self._stands(part, frozenset(bricks)) and (
                 depth_first(_Removals(part, removals, TRIES_BESIDE), Clock(math.inf)).complete
             )
         return self._alone[bricks]
@@ -282,9 +297,31 @@ class _Disassembly:
         own = tuple(part.number[b] for b in group)
         if not any(a == GROUND or a in left for b in own for a in states.mates.lower[b]):
             return False
-        if left and not states.stands(left):
+        if left and not self._stands(part, rest):
             return False
         return states.stands(left | set(own)) and states.stands_pressed(own, left)
+
+    def _stands(self, part: _Subassembly, bricks: frozenset[int]) -> bool:
+        """Whether some of a part stand; on a table, where nothing grips them, not on an edge."""
+        states, own = part.states, part.of(bricks)
+        if states is self.structure.states:
+            return states.stands(own)
+        key = part.bricks, own
+        if key not in self._firm:
+            self._firm[key] = states.stands(own) and self._firmly(bricks)
+        return self._firm[key]
+
+    def _firmly(self, bricks: frozenset[int]) -> bool:
+        """See :data:`FIRM`."""
+        import shapely
+
+        pieces = [self.arms[0].job.pieces[b] for b in bricks]
+        ground = min(float(piece.extent[0][2]) for piece in pieces)
+        under = [piece.face() for piece in pieces if piece.extent[0][2] < ground + LEVEL]
+        mass = np.array([piece.mass for piece in pieces])
+        middle = np.array([piece.target for piece in pieces])
+        at = shapely.Point((mass @ middle / mass.sum())[:2])
+        return bool(shapely.union_all(under).convex_hull.buffer(-FIRM).contains(at))
 
     def _beside(
         self, part: _Subassembly, group: frozenset[int], rest: frozenset[int]
