@@ -569,6 +569,28 @@ def test_a_prop_that_would_be_closed_in_goes_before() -> None:
     assert not any(b.kind == POST for b in plan.assembly.finished.blocks)
 
 
+@pytest.mark.parametrize("ground", [0.0, 0.4])
+def test_posts_stand_on_the_ground_beside_supports(ground: float) -> None:
+    """At the height of the lowest one: a beam that its counterweight holds comes before that."""
+    old = box_block("old", (0, 0, ground), (0.2, 0.2, ground + 0.2), support=True)
+    beam = box_block("beam", (0.05, 0, ground + 0.2), (0.55, 0.2, ground + 0.3))
+    weight = box_block("weight", (0, 0, ground + 0.3), (0.15, 0.2, ground + 0.9))
+    assembly = Assembly((old, beam, weight), friction=0.6)
+    plan = plan_assembly(assembly)
+    assert plan.complete, plan.reason
+    assert [step.action for step in plan.steps] == ["place", "place", "place", "remove"]
+    assert plan.assembly is not None
+    post = plan.assembly.blocks[-1]
+    assert post.prop
+    assert post.vertices[:, 2].min() == ground
+    without = tuple(AssemblyStep(place=name) for name in ("beam", "weight"))
+    assert not plan_assembly(replace(assembly, steps=without)).complete
+    # Blocks that are no props do not stand there.
+    stone = box_block("stone", (1, 0, ground), (1.2, 0.2, ground + 0.2))
+    with pytest.raises(InputError, match="no ground"):
+        check(Assembly((old, stone)))
+
+
 def test_where_posts_do_not_help_and_a_hand_does_it_is_said() -> None:
     """A ridge below the arch leaves posts no floor; advice is tried before it is given."""
     ends = [(x, y, 0.0) for x in (-0.24, 0.24) for y in (-0.2, 0.2)]

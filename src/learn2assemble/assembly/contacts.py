@@ -138,8 +138,10 @@ def contact_tolerance(blocks: Sequence[Block]) -> np.ndarray:
 def find_contacts(assembly: Assembly, tolerance: float | None = None) -> Contacts:
     """Contact patches between the blocks of an assembly, and with the ground.
 
-    Without any support block, the plane z = 0 is the ground: what stands on it touches it.
-    Patches between two supports are left out, and so are strips thinner than the tolerance.
+    Without any support block, the plane z = 0 is the ground: what stands on it touches it. With
+    some, these carry the blocks, and props alone stand on the ground, at the height of the lowest
+    of them (:func:`ground_of`). Patches between two supports are left out, and so are strips
+    thinner than the tolerance.
 
     Args:
         assembly: the blocks where they stand.
@@ -157,9 +159,11 @@ def find_contacts(assembly: Assembly, tolerance: float | None = None) -> Contact
     pairs = pairs[~(support[pairs[:, 0]] & support[pairs[:, 1]])]
     first, second = _opposite(facets, pairs, lower, upper)
     between = _patches(facets, first, second)
-    if support.any():
+    props = np.array([block.prop for block in assembly.blocks])
+    stand = np.ones(len(support), bool) if not support.any() else props & ~support
+    if not stand.any():
         return between
-    ground = _on_ground(facets)
+    ground = _on_ground(facets, stand, ground_of(assembly.blocks))
     ground = ground._replace(patch=ground.patch + len(between.a))
     return Contacts(*[np.concatenate(two) for two in zip(between, ground, strict=True)])
 
@@ -455,10 +459,21 @@ def _same_plane(
     return leader
 
 
-def _on_ground(facets: _Facets) -> Contacts:
-    """Patches between facets that look down and the plane z = 0."""
-    down = facets.normal[:, 2] < -np.cos(_ANGLE)
-    down &= (np.abs(facets.centre[:, 2]) <= facets.width) & (facets.area > facets.width**2)
+def ground_of(blocks: Sequence[Block]) -> float:
+    """Height of the ground [m]: 0, or that of the lowest point of support blocks."""
+    return min((float(b.vertices[:, 2].min()) for b in blocks if b.support), default=0.0)
+
+
+def _on_ground(facets: _Facets, stand: np.ndarray, height: float) -> Contacts:
+    """Patches between facets that look down and the ground.
+
+    Args:
+        stand: bool[B], blocks that may stand there.
+        height: of the ground [m].
+    """
+    down = (facets.normal[:, 2] < -np.cos(_ANGLE)) & stand[facets.block]
+    down &= np.abs(facets.centre[:, 2] - height) <= facets.width
+    down &= facets.area > facets.width**2
     face = np.flatnonzero(down)
     corner, owner = _ranges(facets.start[face], facets.start[face + 1] - facets.start[face])
     block, patch = np.unique(facets.block[face], return_inverse=True)
@@ -466,7 +481,7 @@ def _on_ground(facets: _Facets) -> Contacts:
     hulls = shapely.simplify(shapely.convex_hull(clouds), facets.width[face].min(initial=1) / 100)
     flat, owner = shapely.get_coordinates(hulls, return_index=True)
     last = np.append(owner[1:] != owner[:-1], True) if len(owner) else np.empty(0, bool)
-    points = np.column_stack([flat[~last], np.zeros((~last).sum())])
+    points = np.column_stack([flat[~last], np.full((~last).sum(), height)])
     up = np.tile([0.0, 0.0, 1.0], (len(block), 1))
     area = np.bincount(patch, facets.area[face], minlength=len(block))
     ground, known = np.full(len(block), GROUND), np.zeros(len(block))

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
-from learn2assemble.assembly.contacts import Contacts, contact_tolerance, find_contacts
+from learn2assemble.assembly.contacts import Contacts, contact_tolerance, find_contacts, ground_of
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.centring import find_centring
 from learn2assemble.planning.clearance import FreeWays
@@ -233,8 +233,7 @@ class _DryOrder:
     def posts(self, centring: bool, state: State) -> list[Post]:
         """Those that could carry blocks, or a centring below most of what is missing in a state."""
         given, missing = self.blocks[: self.count], self.rules.wanted & ~state.present
-        lowest = [float(b.vertices[:, 2].min()) for b in given if b.support]
-        ground = min(lowest) if lowest else 0.0
+        ground = ground_of(given)
         if not centring:
             return find_posts(given, self._contacts, ground)
         if self.rules.wanted.sum() <= _SMALL:
