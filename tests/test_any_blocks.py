@@ -597,6 +597,63 @@ def test_a_run_counts_what_the_robot_did(small_arch: Plan) -> None:
     assert ran.blocks == done
 
 
+# ---------------------------------------------------------------- on what stands already
+
+
+def on_piers(voussoirs: int = 7, height: float = 0.1) -> Assembly:
+    """An arch on two piers that stand already."""
+    angles = np.linspace(0, np.pi, voussoirs + 1)
+    joints = [
+        [(r * np.cos(a), y, height + r * np.sin(a)) for r in (0.16, 0.24) for y in (-0.05, 0.05)]
+        for a in angles
+    ]
+    blocks = [hull_block(f"v{k}", joints[k] + joints[k + 1]) for k in range(voussoirs)]
+    piers = [
+        box_block(f"pier{k}", (x - 0.06, -0.06, 0), (x + 0.06, 0.06, height), support=True)
+        for k, x in enumerate((-0.2, 0.2))
+    ]
+    return Assembly((*piers, *blocks), friction=0.6)
+
+
+@pytest.mark.parametrize("physics", ["kinematic", "dynamic"])
+def test_an_arm_builds_an_arch_on_piers_that_stand(physics: str) -> None:
+    plan = l2a.build(on_piers(), arm="ur5e", physics=physics, seed=1)
+    assert plan.complete, plan.reason
+    assert plan.blocks.used == 7
+    assert {step.action for step in plan.steps} == {"place", "remove"}  # Posts come and go.
+    assert plan.arm is not None
+    assert plan.arm.error_worst is not None
+    assert plan.arm.error_worst < 1e-3
+    assert plan.assembly is not None
+    assert l2a.check(plan.assembly).verdict == "stands"
+    if physics == "dynamic":
+        again = l2a.run(plan)
+        assert again.complete, again.reason
+
+
+def test_two_arms_build_on_what_stands_and_noise_moves_none_of_it() -> None:
+    old = box_block("old", (0, 0, 0), (0.32, 0.1, 0.05), support=True)
+    raised = [higher(block, 0.05) for block in small_wall(0.0, 0.0).blocks]
+    wall = Assembly((old, *raised), friction=0.6)
+    both = l2a.build(wall, arm=("ur5e", "panda"), physics="kinematic")
+    assert both.complete, both.reason
+    one = l2a.build(wall, arm="ur5e", noise=(1e-3, 0.01), seed=2)
+    assert one.complete, one.reason
+    assert one.steps[0].action == "place"
+    assert "old" not in {one.assembly.blocks[s.block].id for s in one.steps if one.assembly}
+    # What has to be reached are the blocks that come.
+    found = l2a.reach(wall, arm="ur5e")
+    assert found.here.count == 6
+    floating = Assembly(tuple(higher(block, 0.3) for block in wall.blocks), friction=0.6)
+    with pytest.raises(InputError, match=r"lowest point is at z = 0\.3 m"):
+        l2a.build(floating, arm="ur5e", physics="kinematic")
+
+
+def higher(block: Block, up: float) -> Block:
+    """The same block higher up."""
+    return dataclasses.replace(block, vertices=np.add(block.vertices, (0.0, 0.0, up)))
+
+
 # ---------------------------------------------------------------- wherever it stands
 
 

@@ -118,7 +118,7 @@ def _arrange(
     progress: Progress,
 ) -> Arranged:
     job, worlds = arms[0].job, [WorkcellBlocks(one.job) for one in arms]
-    standing = set(job.standing)
+    standing = set(job.there)
     order: list[StepOf] = []
     by_hand: set[StepOf] = set()
     found = Counting("steps in an order that the arm can do", len(job.steps), progress)

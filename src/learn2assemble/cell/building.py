@@ -13,6 +13,7 @@ import numpy as np
 
 from learn2assemble.cell.arrange import Arranged, describe
 from learn2assemble.cell.attempt import UNCERTAIN, Ahead, Attempts, Came
+from learn2assemble.cell.belief import Estimate
 from learn2assemble.cell.journal import Recording, append_state, packed, read_states
 from learn2assemble.cell.sight import Sight
 from learn2assemble.cell.state import Action, Choice, Done
@@ -119,6 +120,9 @@ class Building:
         """Of all blocks there ever were."""
         self.plant: Checked = Checked(plant, arm.name, len(arm.joints), self.names, OLDEST)
         self.sight: Sight = Sight(self.plant, arm, self.world, workcell.touch)
+        for piece in (piece for piece in self.job.pieces if piece.fixed):
+            # Nobody sees it: it is where the design has it.
+            self.sight.belief.known[piece.id] = Estimate(piece.pose, np.zeros((6, 6)))
         self.sight.pause = self._pause
         self.attempts: Attempts = Attempts(self.job, self.plant, self.sight, self.recorded)
         self.witness, self.stopped = witness, Stop.END

@@ -204,8 +204,11 @@ def setup_of(job: Job, workcell: Workcell, structure: Structure | None = None) -
         structure: what is pressed on what, where bricks clutch.
     """
     world = WorkcellBlocks(job)
-    kinds = {piece.id: BlockKind(piece.shape, piece.density) for piece in job.pieces}
-    fixed: list[tuple[BlockKind, np.ndarray]] = []
+    seen = [k for k in world.visible() if not world.pieces[k].fixed]
+    own = [piece for piece in job.pieces if not piece.fixed]
+    kinds = {piece.id: BlockKind(piece.shape, piece.density) for piece in own}
+    stay = [piece for piece in job.pieces if piece.fixed]
+    fixed = [(BlockKind(piece.shape, OBSTACLE_DENSITY), piece.pose) for piece in stay]
     for obstacle in job.obstacles:
         x, y, z = obstacle.size
         part = Part((0.0, 0.0, 0.0), (x / 2, y / 2, z / 2))
@@ -214,7 +217,7 @@ def setup_of(job: Job, workcell: Workcell, structure: Structure | None = None) -
     return Setup(
         job.arm,
         kinds,
-        {world.names[k]: world.pose[k].copy() for k in world.visible()},
+        {world.names[k]: world.pose[k].copy() for k in seen},
         tuple(fixed),
         job.friction,
         studs=None if structure is None else structure.studs(),

@@ -151,8 +151,8 @@ def ways_of(plan: Plan, members: Sequence[Member]) -> dict[int, Brought]:
     assert plan.assembly is not None
     blocks, made = plan.assembly.blocks, plan.assembly.steps
     contacts = find_contacts(plan.assembly)
-    crew, nothing = ArmCrew(members, blocks), np.zeros(len(blocks), bool)
-    state, found = State(nothing, nothing.copy()), dict[int, Brought]()
+    crew, fixed = ArmCrew(members, blocks), np.array([block.support for block in blocks])
+    state, found = State(fixed, np.zeros(len(blocks), bool)), dict[int, Brought]()
     for n, step in enumerate(plan.steps):
         after = plan.steps[n + 1] if n + 1 < len(plan.steps) else None
         if step.action == "place":

@@ -153,7 +153,7 @@ def possible(
 ) -> tuple[list[StepOf], dict[int, str]]:
     """The steps of a plan that an arm could do, each when its turn has come; by block, why it could
     not do the others."""
-    world, standing = WorkcellBlocks(job), set(job.standing)
+    world, standing = WorkcellBlocks(job), set(job.there)
     steps, stuck = list[StepOf](), dict[int, str]()
     put_beside(world, job.steps)
     for step in job.steps:

@@ -77,6 +77,8 @@ class Piece:
     """float64[3, 3]: rotation of that frame there."""
     rest: np.ndarray
     """float64[3, 3]: rotation of that frame as the block waits, at yaw 0."""
+    fixed: bool = False
+    """Whether it is a support: it stands there from the first, and nothing moves it."""
 
     @property
     def half(self) -> np.ndarray:
@@ -290,9 +292,8 @@ def _piece(block: Block, room: float, known: list[_Known]) -> Piece:
     # Of several that look the same the most upright one, then the one with the least turn.
     turn = max(turns, key=lambda t: (round(float(t[2, 2]), 6), round(float(t[0, 0]), 6)))
     target = points.mean(0) - turn @ one.corners.mean(0)
-    piece = Piece(
-        block.id, block.kind, block.prop, block.density, one.shape, target, turn, np.eye(3)
-    )
+    own = block.id, block.kind, block.prop, block.density
+    piece = Piece(*own, one.shape, target, turn, np.eye(3), block.support)
     return replace(piece, rest=ways_to_rest(piece)[0])
 
 

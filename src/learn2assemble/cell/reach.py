@@ -275,12 +275,14 @@ def report_reach(
     """
     if plan.assembly is None:
         raise InputError("design", plan.reason or "no blocks", "a design that blocks fill")
-    pieces = with_rests(pieces_of(plan.assembly), get_arm(arm, tool))
+    blocks = tuple(block for block in plan.assembly.blocks if not block.support)
+    own = replace(plan.assembly, blocks=blocks, steps=(), not_built=())
+    pieces = with_rests(pieces_of(own), get_arm(arm, tool))
     check_held(get_arm(arm, tool), pieces, plan.assembly.holds)
     best = here = suggest(arm, tool, pieces)
     if site is not None and site.base is not None:
         here = reach_from(place_arm(arm, tool, site.base), site.base, pieces)
-    return ReachReport(arm, tool, plan.assembly, here, best)
+    return ReachReport(arm, tool, own, here, best)
 
 
 def check_held(arm: Arm, pieces: Sequence[Piece], studs: bool = False) -> None:
@@ -375,21 +377,22 @@ def set_up(job: Job, name: str, tool: str, site: Site, progress: Progress = sile
     """
     every = with_rests(job.pieces, get_arm(name, tool))
     job = replace(job, obstacles=(*site.obstacles, *site.kept_out), pieces=every)
-    # What can be done by hand asks nothing of the arm.
-    pieces = [piece for piece in every if not (job.hands and piece.prop)]
+    # What can be done by hand asks nothing of the arm, nor does what stands there and stays.
+    pieces = [p for p in every if not (p.fixed or (job.hands and p.prop))]
     check_held(get_arm(name, tool), pieces, job.assembly.holds)
     order = [step.block for step in job.steps if not step.remove]
     given = given_sources(site, every, order)
-    top = max(p.top for p in pieces)
+    top = max(p.top for p in every)
     if site.base is not None:
         found = reach_from(place_arm(name, tool, site.base), site.base, pieces)
         if found.out:
             raise _out_of_reach(name, pieces, found, suggest(name, tool, pieces))
-        arm = resting(place_arm(name, tool, site.base), site.base[3], pieces)
+        arm = resting(place_arm(name, tool, site.base), site.base[3], every)
         check_reached(arm, given, pieces, top)
         return supplied(replace(job, arm=arm), given, site, progress=progress)
     key, fault, most, second = extreme(pieces), None, None, None
-    for base in counted(list(bases(pieces)), "bases tried for the arm", progress):
+    free = [base for base in bases(pieces) if beside_supports(base, every)]
+    for base in counted(free, "bases tried for the arm", progress):
         arm = place_arm(name, tool, base)
         found = reach_from(arm, base, pieces, key)
         if most is None or len(found.out) < len(most.out):
@@ -398,7 +401,7 @@ def set_up(job: Job, name: str, tool: str, site: Site, progress: Progress = sile
             continue
         try:
             check_reached(arm, given, pieces, top)
-            here = replace(job, arm=resting(arm, base[3], pieces))
+            here = replace(job, arm=resting(arm, base[3], every))
             if takes_away(here):
                 return supplied(here, given, site, progress=progress)
             second = second or here
@@ -411,6 +414,16 @@ def set_up(job: Job, name: str, tool: str, site: Site, progress: Progress = sile
         raise fault
     best = _whole(name, tool, pieces, most)
     raise _out_of_reach(name, pieces, best, best)
+
+
+def beside_supports(base: Base, pieces: Sequence[Piece]) -> bool:
+    """Whether a base has room beside what stands there from the first."""
+    import shapely
+
+    x, y, _, _ = base
+    foot = shapely.Point(x, y)
+    faces: list[Any] = [piece.face() for piece in pieces if piece.fixed]
+    return all(float(face.distance(foot)) >= NEAREST for face in faces)
 
 
 def removals(job: Job, shape: Shape | None = None) -> Iterator[tuple[WorkcellBlocks, StepOf]]:
@@ -564,7 +577,7 @@ def _magazine_places(
     import shapely
 
     world = WorkcellBlocks(replace(job, sources=()))
-    kept = {*job.standing, *(s.block for s in job.steps)} - {s.block for s in job.steps if s.remove}
+    kept = {*job.there, *(s.block for s in job.steps)} - {s.block for s in job.steps if s.remove}
     for k in kept:
         world.pose[k], world.state[k] = world.target(k), STANDING
     rests = rests_of(job.pieces, shape)

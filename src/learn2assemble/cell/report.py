@@ -148,13 +148,14 @@ def measure(building: Building, plant: object, others: set[int]) -> Measured:
     """
     world, every = building.world, sorted(building.known.standing())
     shown: Any = plant
-    there = [k for k in every if k not in others]
+    there = [k for k in every if k not in others and not world.pieces[k].fixed]
     if not hasattr(plant, "truth") or not there:
         return Measured()
     shapes: dict[str, Shape] = getattr(plant, "shapes", dict)()
     truth, worst = shown.truth(), None
     away = np.array([0.0, 0.0, -1.0, 1.0, 0.0, 0.0, 0.0])
     poses = {k: truth.get(world.names[k], away) for k in every}
+    poses |= {k: world.drawn(k) for k in every if world.pieces[k].fixed}
     errors = [float(np.linalg.norm(poses[k][:3] - world.drawn(k)[:3])) for k in there]
     table = getattr(plant, "table", None)
     if table is not None and (table[:3].any() or table[3] != 1.0):
@@ -253,7 +254,7 @@ def carried_out(
         done.sort(key=lambda step: ended.get(step, -1))
     # What is only listed, not proven, has to be: of bricks an arm finds the order.
     same = done == list(proven) and all(step.proof for step in moved)
-    standing = set(job.standing)
+    standing = set(job.there)
     covered = before = _covered_first(job)
     steps: list[Step] = []
     share = {s.block: 0.0 for s in moved}
@@ -330,6 +331,7 @@ def carried_out(
         for one in arms
     ]
     told = [replace(arm, did=did) for arm, did in zip(plan.arms, reports, strict=False)]
+    used = sum(not job.pieces[k].fixed for k in building.known.standing())
     return replace(
         plan,
         status="incomplete" if reason else "complete",
@@ -337,7 +339,7 @@ def carried_out(
         steps=tuple(steps),
         coverage=steps[-1].coverage if steps else 0.0,
         seconds=round(plan.seconds + seconds, 3),
-        blocks=replace(plan.blocks, used=len(building.known.standing()), waiting=waiting),
+        blocks=replace(plan.blocks, used=used, waiting=waiting),
         verified_by=f"{plan.verified_by}, and {words_of(job, arms[0].workcell)}",
         arm=None if told else reports[0],
         arms=tuple(told),

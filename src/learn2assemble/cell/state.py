@@ -105,8 +105,8 @@ class Choice:
         """By block and what was tried: failures since the last success."""
         self.refused: dict[int, str] = {}
         """Blocks that the arm cannot place as things are, and why."""
-        self.accepted: set[int] = set()
-        """Blocks that stay as they are, though not right."""
+        self.accepted: set[int] = {k for k, piece in enumerate(job.pieces) if piece.fixed}
+        """Blocks that stay as they are, though perhaps not right."""
         self.elsewhere: set[int] = set()
         """Blocks that another arm is about to place."""
         self.postponed: set[int] = set()
@@ -296,7 +296,8 @@ class Choice:
         """Put a neighbour right that leaves a block less room than it needs, where it can be."""
         standing = self.standing()
         for n in self.fitting.tight(k, standing & self._together(k)):
-            if not self.structure.loads(n, standing) and self._left(n, "again") > 2 * TRIES:
+            free = not (self.job.pieces[n].fixed or self.structure.loads(n, standing))
+            if free and self._left(n, "again") > 2 * TRIES:
                 return Action(n, self.fitted(n), "again")
         return None
 

@@ -59,7 +59,7 @@ class Structure:
         self.above: list[set[int]] = [set() for _ in range(count)]
         self._there = _stood_before(job)
         self._take_up()
-        last = {*job.standing, *(step.block for step in job.steps)} - {
+        last = {*job.there, *(step.block for step in job.steps)} - {
             step.block for step in job.steps if step.remove
         }
         if self._pressing(frozenset(last)) is None:
@@ -67,7 +67,7 @@ class Structure:
             self.contacts = add_point_contacts(job.assembly, self.contacts)
             self._take_up()
             self.leans = True
-        standing = set(job.standing)
+        standing = set(job.there)
         self._proven = {frozenset(standing)}
         for step in job.steps:
             standing = standing - {step.block} if step.remove else standing | {step.block}
@@ -204,8 +204,8 @@ class Structure:
 
 def _stood_before(job: Job) -> dict[int, frozenset[int]]:
     """By block, what stands when it is placed, or before the first step where it does, too."""
-    standing = frozenset(job.standing)
-    found = dict.fromkeys(job.standing, standing)
+    standing = frozenset(job.there)
+    found = dict.fromkeys(standing, standing)
     for step in job.steps:
         if step.remove:
             standing -= {step.block}

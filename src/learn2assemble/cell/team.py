@@ -22,9 +22,11 @@ from learn2assemble.cell.pieces import Piece, middle_of, pieces_of, ways_to_rest
 from learn2assemble.cell.reach import (
     APART,
     DISTANCES,
+    NEAREST,
     Base,
     Reach,
     bases,
+    beside_supports,
     check_held,
     check_reached,
     extreme,
@@ -191,6 +193,7 @@ def report_team(plan: Plan, arms: Sequence[SiteArm]) -> TeamReach:
         raise InputError("design", plan.reason or "no blocks", "a design that blocks fill")
     bare = _without_props(plan.assembly)
     level = is_narrow(find_contacts(bare))
+    bare = replace(bare, blocks=tuple(block for block in bare.blocks if not block.support))
     return replace(team_reach(arms, pieces_of(bare), bare.holds, level), assembly=bare)
 
 
@@ -226,20 +229,25 @@ def set_up_team(
     if site.pallets or site.positions:
         raise InputError(site.source, "pallets or positions", "magazines, for several arms")
     assembly = _without_props(assembly)
-    if any(block.support for block in assembly.blocks):
-        raise InputError("design", "blocks that stand before the first step", "none, for an arm")
     pieces = pieces_of(assembly)
+    own = [piece for piece in pieces if not piece.fixed]
     joints = find_contacts(assembly)
     level = len(arms) > 1 and is_narrow(joints)
-    found = team_reach(arms, pieces, assembly.holds, level)
+    found = team_reach(arms, own, assembly.holds, level)
     if out := found.out:
-        names = ", ".join(pieces[k].id for k in out[:3])
+        names = ", ".join(own[k].id for k in out[:3])
         names += f" and {len(out) - 3} more" if out[3:] else ""
         each = zip(found.arms, found.reaches, strict=True)
         where = ", ".join(f"{one.name} at {reach.words}" for one, reach in each)
-        got = f"{len(out)} of {len(pieces)} blocks out of it: {names}"
+        got = f"{len(out)} of {len(own)} blocks out of it: {names}"
         raise InputError(f"reach of {where}", got, "bases from which one of the arms reaches each")
-    order = sorted(range(len(pieces)), key=lambda k: float(pieces[k].extent[0][2]))
+    for one in found.arms:
+        if not beside_supports(_base_of(one), pieces):
+            at = [round(v, 4) for v in _base_of(one)[:2]]
+            expected = f"one {NEAREST:g} m from supports, which a layout can give"
+            raise InputError(f"base of {one.name}", at, expected)
+    placed = (k for k, piece in enumerate(pieces) if not piece.fixed)
+    order = sorted(placed, key=lambda k: float(pieces[k].extent[0][2]))
     steps = tuple(StepOf(k) for k in order)
     obstacles = (*site.obstacles, *site.kept_out)
     taken = [shapely.Point(*_base_of(one)[:2]).buffer(BASE_RADIUS) for one in found.arms]

@@ -97,7 +97,7 @@ def tell(mine: Building, other: Building, changed: Set[int]) -> None:
     """
     while len(other.world.pieces) < len(mine.world.pieces):
         other.recording.replace(mine.recording.like[len(other.recording.like)])
-        other.names.add(mine.world.names[-1])
+        other.names.update(mine.world.names)  # The new block has the name that is new.
     for k in changed:
         other.world.state[k] = mine.world.state[k]
         other.world.pose[k], other.world.spread[k] = mine.world.pose[k], mine.world.spread[k]

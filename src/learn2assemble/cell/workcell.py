@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from learn2assemble.assembly.contacts import ground_of
 from learn2assemble.cell.pieces import Piece, pieces_of
 from learn2assemble.cell.site import Obstacle, Site, Source
 from learn2assemble.errors import InputError
@@ -117,7 +118,12 @@ class Job:
     hands: bool = False
     """Props that the arm cannot place or take away are placed and taken away by hand."""
     standing: tuple[int, ...] = ()
-    """Pieces that stand before the first step, from below."""
+    """Pieces that stand before the first step, from below, supports aside."""
+
+    @property
+    def there(self) -> tuple[int, ...]:
+        """All that stands before the first step, supports too."""
+        return *(k for k, piece in enumerate(self.pieces) if piece.fixed), *self.standing
 
     @property
     def first(self) -> tuple[StepOf, ...]:
@@ -140,8 +146,8 @@ def job_of(plan: Plan, arm: str, joint: float, hands: bool = False, holding: boo
         holding: whether blocks may be held; these steps are not part of the job.
 
     Raises:
-        InputError: for steps that hold a block, for supports, and for blocks of too many convex
-            parts.
+        InputError: for steps that hold a block, for supports beside the table, and for blocks of
+            too many convex parts.
     """
     assert plan.assembly is not None
     holds = sum(step.action == "hold" for step in plan.steps)
@@ -150,11 +156,12 @@ def job_of(plan: Plan, arm: str, joint: float, hands: bool = False, holding: boo
         raise InputError("steps that hold a block", holds, expected)
     moved = [step for step in plan.steps if step.action in ("place", "remove")]
     steps = tuple(StepOf(step.block, step.action == "remove") for step in moved)
-    if any(block.support for block in plan.assembly.blocks):
-        got = "supports, which stand before the first step and stay"
-        raise InputError("design", got, "none, for an arm")
+    ground = ground_of(plan.assembly.blocks)
+    if abs(ground) > OFF_TABLE:
+        got = f"supports whose lowest point is at z = {ground:g} m"
+        raise InputError("design", got, "supports that stand on the table, z = 0, for an arm")
     pieces, first = pieces_of(plan.assembly), plan.assembly.at_first
-    standing = [k for k, there in enumerate(first) if there]
+    standing = [k for k, there in enumerate(first) if there and not pieces[k].fixed]
     return Job(
         pieces,
         steps,
@@ -168,6 +175,8 @@ def job_of(plan: Plan, arm: str, joint: float, hands: bool = False, holding: boo
     )
 
 
+OFF_TABLE = 1e-3
+"""Supports that begin no farther from it stand on the table [m]."""
 Direction = tuple[float, float, float]
 """A unit vector."""
 DOWN: Direction = (0.0, 0.0, -1.0)

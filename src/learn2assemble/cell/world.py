@@ -88,14 +88,14 @@ class WorkcellBlocks:
                 (
                     k
                     for k, p in enumerate(self.pieces)
-                    if source.presents(p) and self.source[k] is None and k not in job.standing
+                    if source.presents(p) and self.source[k] is None and k not in job.there
                 ),
                 None,
             )
             if piece is not None:
                 self.source[piece], self.state[piece] = n, LOOSE
                 self.pose[piece] = self.presented(piece, n)
-        for k in job.standing:
+        for k in job.there:
             self.state[k], self.pose[k] = STANDING, self.target(k)
         for k in range(count):
             if self.state[k] == STOCK:

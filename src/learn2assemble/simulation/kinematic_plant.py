@@ -4,7 +4,7 @@ weighs anything, and nothing gives way."""
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,10 +22,10 @@ from learn2assemble.motion.plant import (
     ToolReading,
 )
 from learn2assemble.motion.setup import Setup
-from learn2assemble.robot.bodies import solids
+from learn2assemble.robot.bodies import Shape, solids
 from learn2assemble.robot.kinematics import Chain, forward, get_chain
 from learn2assemble.simulation.disturbances import Straying
-from learn2assemble.simulation.things import SimulatedCell, bounds, check_motion, nearest
+from learn2assemble.simulation.things import SimulatedCell, bounds, bounds_at, check_motion, nearest
 
 REACH = 0.015
 """The tool takes what is within this of it [m]."""
@@ -188,16 +188,21 @@ class KinematicPlant(SimulatedCell):
                 return True
             low = np.min([one[0].min(0) for one in parts], axis=0)
             high = np.max([one[0].max(0) for one in parts], axis=0)
-            for other, thing in self.things.items():
-                bottom, top = bounds(thing)
+            for other, shape, there in self._around():
+                bottom, top = bounds_at(shape, there)
                 if other in mine or (bottom > high).any() or (top < low).any():
                     continue
                 for a in parts:
-                    for b in solids(thing.kind.shape, thing.pose):
+                    for b in solids(shape, there):
                         gap, axis = separation(a, b)
                         if gap < -INTO and abs(float(axis @ way)) > CARRIES:
                             return True
         return False
+
+    def _around(self) -> Iterator[tuple[str, Shape, np.ndarray]]:
+        """Names, shapes and poses float64[7] of all blocks and of what stays where it is."""
+        yield from ((name, one.kind.shape, one.pose) for name, one in self.things.items())
+        yield from (("", kind.shape, pose) for kind, pose in self.setup.fixed)
 
     def _fall(self) -> None:
         """What is held falls straight down, flat on what is below it."""

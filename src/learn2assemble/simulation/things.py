@@ -223,8 +223,13 @@ class SimulatedCell:
 
 def bounds(thing: Thing) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest coordinates of a block, float64[3] each [m]."""
-    points = body_of(thing.kind.shape).points @ quaternion_matrix(thing.pose[3:]).T
-    return thing.pose[:3] + points.min(0), thing.pose[:3] + points.max(0)
+    return bounds_at(thing.kind.shape, thing.pose)
+
+
+def bounds_at(shape: Shape, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same of a shape at a pose float64[7]."""
+    points = body_of(shape).points @ quaternion_matrix(pose[3:]).T
+    return pose[:3] + points.min(0), pose[:3] + points.max(0)
 
 
 def nearest(things: dict[str, Thing], points: list[np.ndarray], within: float) -> str | None:
