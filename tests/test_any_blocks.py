@@ -644,6 +644,12 @@ def test_two_arms_build_on_what_stands_and_noise_moves_none_of_it() -> None:
     # What has to be reached are the blocks that come.
     found = l2a.reach(wall, arm="ur5e")
     assert found.here.count == 6
+    slab = box_block("slab", (-1, -1, -0.02), (1, 1, 0), support=True)
+    low = Assembly((slab, *small_wall(0.0, 0.0).blocks), friction=0.6)
+    assert l2a.build(low, arm="ur5e", physics="kinematic").complete
+    for arm in ("ur5e", ("ur5e", "panda")):
+        with pytest.raises(InputError, match="supports alone"):
+            l2a.build(Assembly((old,)), arm=arm, physics="kinematic")
     floating = Assembly(tuple(higher(block, 0.3) for block in wall.blocks), friction=0.6)
     with pytest.raises(InputError, match=r"lowest point is at z = 0\.3 m"):
         l2a.build(floating, arm="ur5e", physics="kinematic")

@@ -207,7 +207,7 @@ def setup_of(job: Job, workcell: Workcell, structure: Structure | None = None) -
     seen = [k for k in world.visible() if not world.pieces[k].fixed]
     own = [piece for piece in job.pieces if not piece.fixed]
     kinds = {piece.id: BlockKind(piece.shape, piece.density) for piece in own}
-    stay = [piece for piece in job.pieces if piece.fixed]
+    stay = [piece for piece in job.pieces if piece.fixed and not piece.sunk]
     fixed = [(BlockKind(piece.shape, OBSTACLE_DENSITY), piece.pose) for piece in stay]
     for obstacle in job.obstacles:
         x, y, z = obstacle.size

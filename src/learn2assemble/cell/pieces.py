@@ -48,6 +48,8 @@ _FLAT = 1e-5
 """Corners that differ by less along an axis lie in one plane [m]."""
 _DOWN = 1 - 1e-9
 """Of the normal of a face that points down."""
+ON_TABLE = 1e-3
+"""What begins, or ends, no farther from it does so at the table [m]."""
 
 
 class Pose(NamedTuple):
@@ -79,6 +81,11 @@ class Piece:
     """float64[3, 3]: rotation of that frame as the block waits, at yaw 0."""
     fixed: bool = False
     """Whether it is a support: it stands there from the first, and nothing moves it."""
+
+    @property
+    def sunk(self) -> bool:
+        """Whether it is a support that ends at the table: arms know it as that."""
+        return self.fixed and self.top <= ON_TABLE
 
     @property
     def half(self) -> np.ndarray:

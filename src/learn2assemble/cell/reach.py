@@ -422,7 +422,7 @@ def beside_supports(base: Base, pieces: Sequence[Piece]) -> bool:
 
     x, y, _, _ = base
     foot = shapely.Point(x, y)
-    faces: list[Any] = [piece.face() for piece in pieces if piece.fixed]
+    faces: list[Any] = [piece.face() for piece in pieces if piece.fixed and not piece.sunk]
     return all(float(face.distance(foot)) >= NEAREST for face in faces)
 
 
@@ -524,7 +524,7 @@ def supplied(
     finished = replace(job, sources=())
     cell = KinematicCell(job.arm, cells_of(job))
     clear = HAND_CLEAR if job.assembly.holds else CLEAR
-    structure = shapely.union_all([p.face() for p in job.pieces])
+    structure = shapely.union_all([p.face() for p in job.pieces if not p.sunk])
     # Where it is best to look for places, and where there may be some yet.
     sides: list[tuple[Any, np.ndarray | None]] = [(structure.buffer(clear), None)]
     if across is not None:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 import numpy as np
 
 from learn2assemble.cell.pieces import (
+    ON_TABLE,
     UPRIGHT,
     Piece,
     Pose,
@@ -462,7 +463,8 @@ def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[
 
     # Of a table of which nothing is said, who says where blocks wait may think of either place.
     table = table_of(site, pieces).union(_table_about(np.zeros(2), site))
-    structure = shapely.union_all([p.face() for p in pieces if p.extent[0][2] < 1e-3])
+    low = [p for p in pieces if p.extent[0][2] < ON_TABLE and not p.sunk]
+    structure = shapely.union_all([p.face() for p in low])
     blocked = [(o.name, outline(o)) for o in site.obstacles]
     for k, (what, area) in enumerate(blocked):
         if area.intersection(structure).area > 1e-9:

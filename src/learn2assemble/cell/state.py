@@ -359,7 +359,7 @@ class Choice:
 
         world = self.world
         lying = [area(world.pieces[n], world.pose[n]) for n in world.visible() if n != k]
-        places = [p.face() for p in self.job.pieces]
+        places = [p.face() for p in self.job.pieces if not p.sunk]
         sources = [source.area for source in self.job.sources]
         taken = shapely.union_all(lying + places + sources)
         size = float(np.linalg.norm(self.world.pieces[k].half))

@@ -39,7 +39,7 @@ from learn2assemble.cell.reach import (
 )
 from learn2assemble.cell.site import Obstacle, Site, Source, given_sources, outline
 from learn2assemble.cell.site_arms import SiteArm
-from learn2assemble.cell.workcell import Job, Progress, StepOf
+from learn2assemble.cell.workcell import Job, Progress, StepOf, check_ground
 from learn2assemble.errors import InputError
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
@@ -229,6 +229,7 @@ def set_up_team(
     if site.pallets or site.positions:
         raise InputError(site.source, "pallets or positions", "magazines, for several arms")
     assembly = _without_props(assembly)
+    check_ground(assembly)
     pieces = pieces_of(assembly)
     own = [piece for piece in pieces if not piece.fixed]
     joints = find_contacts(assembly)
@@ -433,7 +434,8 @@ def told_of(members: Sequence[Member]) -> tuple[BuilderArm, ...]:
     """What a plan tells of the arms that build."""
     level = members[0].job.arm.works_level
     arms = [_site_arm(member) for member in members]
-    reached = team_reach(arms, members[0].job.pieces, level=level)
+    own = [piece for piece in members[0].job.pieces if not piece.fixed]
+    reached = team_reach(arms, own, level=level)
     return tuple(
         BuilderArm(a.name, a.arm, a.tool or TOOL, _base_of(a), reached.count - len(reach.out))
         for a, reach in zip(reached.arms, reached.reaches, strict=True)

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from learn2assemble.assembly.contacts import ground_of
-from learn2assemble.cell.pieces import Piece, pieces_of
+from learn2assemble.cell.pieces import ON_TABLE, Piece, pieces_of
 from learn2assemble.cell.site import Obstacle, Site, Source
 from learn2assemble.errors import InputError
 from learn2assemble.motion.setup import Disturbance, Noise, Simulated
@@ -156,10 +156,7 @@ def job_of(plan: Plan, arm: str, joint: float, hands: bool = False, holding: boo
         raise InputError("steps that hold a block", holds, expected)
     moved = [step for step in plan.steps if step.action in ("place", "remove")]
     steps = tuple(StepOf(step.block, step.action == "remove") for step in moved)
-    ground = ground_of(plan.assembly.blocks)
-    if abs(ground) > OFF_TABLE:
-        got = f"supports whose lowest point is at z = {ground:g} m"
-        raise InputError("design", got, "supports that stand on the table, z = 0, for an arm")
+    check_ground(plan.assembly)
     pieces, first = pieces_of(plan.assembly), plan.assembly.at_first
     standing = [k for k, there in enumerate(first) if there and not pieces[k].fixed]
     return Job(
@@ -175,8 +172,25 @@ def job_of(plan: Plan, arm: str, joint: float, hands: bool = False, holding: boo
     )
 
 
-OFF_TABLE = 1e-3
-"""Supports that begin no farther from it stand on the table [m]."""
+def check_ground(assembly: Assembly) -> None:
+    """Refuse supports alone, and what an arm's table, z = 0, does not carry: supports above it, and
+    props that stand lower, where supports begin below it.
+
+    Raises:
+        InputError: saying which.
+    """
+    if all(block.support for block in assembly.blocks):
+        raise InputError("design", "supports alone", "a block that comes, for an arm")
+    ground = ground_of(assembly.blocks)
+    what = "supports whose lowest point is" if ground > ON_TABLE else ""
+    if ground < -ON_TABLE:
+        props = (float(b.vertices[:, 2].min()) for b in assembly.blocks if b.prop)
+        what = "props that stand" if min(props, default=0.0) < -ON_TABLE else ""
+    if what:
+        got = f"{what} at z = {ground:g} m"
+        raise InputError("design", got, "what stands on the table, z = 0, for an arm")
+
+
 Direction = tuple[float, float, float]
 """A unit vector."""
 DOWN: Direction = (0.0, 0.0, -1.0)

@@ -222,7 +222,7 @@ def rows_of(
         group: blocks that it brings along, as one with it.
     """
     taken = (moving, *group)
-    others = [k for k in world.visible() if k not in taken]
+    others = [k for k in world.visible() if not (k in taken or world.pieces[k].sunk)]
     columns: list[tuple[Any, ...]] = []
     for k in [*others, *taken]:
         one = moving if k in taken else k
