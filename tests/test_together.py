@@ -6,9 +6,11 @@ import contextlib
 import io
 import json
 import re
+from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -26,10 +28,11 @@ from learn2assemble.cell.pair import Pair, gather
 from learn2assemble.cell.site import Obstacle, Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import set_up_team
-from learn2assemble.cell.telling import halted
+from learn2assemble.cell.telling import halted, tell
 from learn2assemble.cell.together import Together
 from learn2assemble.cell.traffic import APART, PLANNED, ArmInTraffic, Leg, Route, Traffic
-from learn2assemble.cell.workcell import Workcell
+from learn2assemble.cell.workcell import Workcell, job_of
+from learn2assemble.cell.world import WorkcellBlocks
 from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
@@ -741,3 +744,29 @@ def _holds(command: ToolCommand) -> bool:
 
 def _opens(command: ToolCommand) -> bool:
     return command.vacuum is False or (command.width is not None and not command.force)
+
+
+def test_a_block_that_replaces_another_one_is_known_to_both() -> None:
+    """By its new name, under which a magazine presents it: what is not known is refused."""
+    plan = l2a.build(Path("examples/designs/gate.svg"))
+    job = job_of(plan, "ur5e", 1e-4)
+
+    def arm() -> Any:
+        world, like = WorkcellBlocks(job), list[int]()
+        return SimpleNamespace(
+            world=world,
+            names=set(world.names),
+            sight=SimpleNamespace(belief=SimpleNamespace(known={})),
+            known=SimpleNamespace(fails=Counter(), refused={}),
+            recording=SimpleNamespace(like=like, replace=world.add, sync=lambda: None),
+        )
+
+    mine, other = arm(), arm()
+    mine.recording.like += range(len(job.pieces))
+    other.recording.like += range(len(job.pieces))
+    spare = mine.world.add(2)
+    mine.recording.like.append(2)
+    tell(mine, other, {2, spare})
+    assert other.world.names == mine.world.names
+    assert mine.world.names[2] != job.pieces[2].id
+    assert set(other.world.names) <= other.names

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import learn2assemble as l2a
 from l2a_lab.__main__ import command_line
 from l2a_lab.press_orders import MOST_BRICKS, press_orders
 from l2a_lab.workbenchmark import LAYER, MIDDLE, Brick, Task, play, product_of, read_tasks, site_of
@@ -156,6 +157,17 @@ def test_two_products_are_built_of_parts_that_have_parts(number: int) -> None:
     assert not found.beside
     assert found.within
     assert found.states > 1
+
+
+@pytest.mark.parametrize("physics", ["kinematic", "dynamic"])
+def test_an_arm_builds_parts_of_parts(physics: str) -> None:
+    """Which are no steps of a plan, but moves of the arm."""
+    made = product(*PRODUCTS[5])
+    done = l2a.build(made, arm="panda", physics=physics)
+    assert done.complete, done.reason
+    assert done.arm is not None
+    assert done.arm.attempts >= len(made.blocks) + 2
+    assert sum(step.way == "beside" for step in done.steps) >= 3
 
 
 def test_the_presses_are_what_forbids_an_order() -> None:
