@@ -32,7 +32,7 @@ from learn2assemble.cell.state import Action
 from learn2assemble.cell.structure import LEANING, Structure
 from learn2assemble.cell.telling import SharedJournal, route_of
 from learn2assemble.cell.together import Cell, Together, built_by, key_of_two, simulated
-from learn2assemble.cell.workcell import Progress, StepOf, Workcell
+from learn2assemble.cell.workcell import LEANS, STANDS, Progress, StepOf, Workcell
 from learn2assemble.cell.world import STANDING, Rows, direction_of, rows_of, supply_of
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.hulls import Hull, hull_of
@@ -45,7 +45,7 @@ from learn2assemble.robot.capsules import capsules_of, placed
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.kinematics import get_chain
-from learn2assemble.robot.moves import Move
+from learn2assemble.robot.moves import Move, Outcome
 from learn2assemble.simulation.execution import Execution
 from learn2assemble.statics.states import State
 
@@ -349,6 +349,8 @@ class InTurn(Together[Cell]):
                 return PAUSED
             self.holds[who] = None
             done = building.world.state[k] == STANDING
+            if done and step.action == "place" and self._slipped(who, k):
+                break
             if done != (step.action == "remove"):
                 # An attempt in which it was held has gone on to where that is let go.
                 self.now += 1
@@ -358,6 +360,15 @@ class InTurn(Together[Cell]):
         last = known.done[-1].detail if known.done else ""
         why = known.refused.get(k) or last
         return f"step {self.now + 1}: {building.world.pieces[k].id}: {why}"
+
+    def _slipped(self, who: int, k: int) -> bool:
+        """Whether an attempt has failed and left its block near its place, but not in it."""
+        known, world = self.buildings[who].known, self.buildings[who].world
+        if not known.done or known.done[-1].outcome == Outcome.REACHED.label:
+            return False
+        off = float(np.linalg.norm(world.pose[k, :3] - world.target(k)[:3]))
+        turned = world.pieces[k].turned_by(world.pose[k, 3:], world.target(k)[3:])
+        return off > STANDS or turned > LEANS
 
     # ------------------------------------------------------------ the other arm
 
