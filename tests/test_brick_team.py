@@ -229,12 +229,14 @@ def test_what_is_taken_to_stand_is_taken_to_be_home(stair: Ordered) -> None:
     [
         (Joint("mortar", tensile=1e4, shear=1e4), {}, "mortar"),
         (STAIR.joint, {"tool": "suction"}, "a cup does not hold on studs"),
+        (STAIR.joint, {"supports": "posts"}, "bricks that clutch: got 'posts'"),
     ],
 )
-def test_what_two_arms_cannot_join_is_one_line(
-    joint: Joint, options: dict[str, str], words: str
+@pytest.mark.parametrize("arm", ["panda", ("panda", "panda")])
+def test_what_arms_cannot_join_is_one_line(
+    joint: Joint, options: dict[str, str], words: str, arm: str | tuple[str, str]
 ) -> None:
     with pytest.raises(InputError) as error:
-        l2a.build(replace(STAIR, joint=joint), arm=("panda", "panda"), **options)  # pyright: ignore
+        l2a.build(replace(STAIR, joint=joint), arm=arm, **options)  # pyright: ignore
     assert words in str(error.value)
     assert "\n" not in str(error.value)

@@ -226,7 +226,7 @@ def _blocks_plan(
         if workcell is None:
             return plan
     else:
-        _check_pressed(blocks)
+        _check_pressed(blocks, supports)
         plan = plan_for_arm(blocks)
     from learn2assemble.cell.carry_out import carry_out
 
@@ -356,7 +356,7 @@ def team_plan(
 
     if isinstance(design, Assembly):
         if studs:
-            _check_pressed(design)
+            _check_pressed(design, help_.supports)
         return built(design, 0.0)
     kit = kit_of(design, kit)
     if studs:
@@ -472,8 +472,10 @@ def has_studs(design: Assembly | CellDesign | Goals, kit: Kit | None) -> bool:
     return joint.law == "clutch" and joint.holds
 
 
-def _check_pressed(blocks: Assembly) -> None:
-    """Refuse joints that an arm cannot make."""
+def _check_pressed(blocks: Assembly, supports: str) -> None:
+    """Refuse joints that an arm cannot make, and help that bricks do not take."""
     if blocks.joints or blocks.joint.law != "clutch":
         laws = ", ".join(sorted({joint.law for joint in blocks.laws}))
         raise InputError("joints", laws, "clutch alone, for an arm: it lays no mortar")
+    if supports == "posts":
+        raise InputError("bricks that clutch", "posts", "parts that are built beside to help them")
