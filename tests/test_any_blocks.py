@@ -650,6 +650,16 @@ def test_two_arms_build_on_what_stands_and_noise_moves_none_of_it() -> None:
     for arm in ("ur5e", ("ur5e", "panda")):
         with pytest.raises(InputError, match="supports alone"):
             l2a.build(Assembly((old,)), arm=arm, physics="kinematic")
+    # Arms stand beside what stands there, wherever they are told to.
+    hall = [
+        box_block(f"hall{k}", (x, -1.2, 0), (x + 1.5, 1.3, 0.1), support=True)
+        for k, x in enumerate((-1.55, 0.37))
+    ]
+    inside = Assembly((*hall, *wall.blocks), friction=0.6)
+    told = l2a.Site(base=(-0.4, 0.05, 0.0, 0.0))
+    for arm, layout in (("ur5e", told), (("ur5e", "panda"), None)):
+        with pytest.raises(InputError, match=r"base of .* m from supports"):
+            l2a.build(inside, arm=arm, physics="kinematic", layout=layout)
     floating = Assembly(tuple(higher(block, 0.3) for block in wall.blocks), friction=0.6)
     with pytest.raises(InputError, match=r"lowest point is at z = 0\.3 m"):
         l2a.build(floating, arm="ur5e", physics="kinematic")

@@ -223,9 +223,8 @@ def where_pressed(
     at = structure.press_at(step.block, step.group, near)
     if at is None:
         return None
-    place = world.pieces[step.block].pose[:2] + there[:2]
-    if not step.group:
-        place = world.target(step.block)[:2]
+    moved = world.pieces[step.block].pose[:2] + there[:2]
+    place = moved if step.group else world.target(step.block)[:2]
     return float(place[0] + at[0]), float(place[1] + at[1])
 
 

@@ -384,6 +384,7 @@ def set_up(job: Job, name: str, tool: str, site: Site, progress: Progress = sile
     given = given_sources(site, every, order)
     top = max(p.top for p in every)
     if site.base is not None:
+        check_beside_supports(name, site.base, every)
         found = reach_from(place_arm(name, tool, site.base), site.base, pieces)
         if found.out:
             raise _out_of_reach(name, pieces, found, suggest(name, tool, pieces))
@@ -391,7 +392,10 @@ def set_up(job: Job, name: str, tool: str, site: Site, progress: Progress = sile
         check_reached(arm, given, pieces, top)
         return supplied(replace(job, arm=arm), given, site, progress=progress)
     key, fault, most, second = extreme(pieces), None, None, None
-    free = [base for base in bases(pieces) if beside_supports(base, every)]
+    tried = list(bases(pieces))
+    free = [base for base in tried if _beside_supports(base, every)]
+    if tried and not free:
+        check_beside_supports(name, tried[0], every)
     for base in counted(free, "bases tried for the arm", progress):
         arm = place_arm(name, tool, base)
         found = reach_from(arm, base, pieces, key)
@@ -416,7 +420,21 @@ def set_up(job: Job, name: str, tool: str, site: Site, progress: Progress = sile
     raise _out_of_reach(name, pieces, best, best)
 
 
-def beside_supports(base: Base, pieces: Sequence[Piece]) -> bool:
+def check_beside_supports(name: str, base: Base, pieces: Sequence[Piece]) -> None:
+    """Refuse a base that has no room beside what stands there from the first.
+
+    Args:
+        name: of the arm.
+
+    Raises:
+        InputError: saying where it is.
+    """
+    if not _beside_supports(base, pieces):
+        at, expected = [round(v, 4) for v in base[:2]], f"one {NEAREST:g} m from supports"
+        raise InputError(f"base of {name}", at, f"{expected}, which a layout can give")
+
+
+def _beside_supports(base: Base, pieces: Sequence[Piece]) -> bool:
     """Whether a base has room beside what stands there from the first."""
     import shapely
 

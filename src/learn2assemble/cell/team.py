@@ -22,11 +22,10 @@ from learn2assemble.cell.pieces import Piece, middle_of, pieces_of, ways_to_rest
 from learn2assemble.cell.reach import (
     APART,
     DISTANCES,
-    NEAREST,
     Base,
     Reach,
     bases,
-    beside_supports,
+    check_beside_supports,
     check_held,
     check_reached,
     extreme,
@@ -243,10 +242,7 @@ def set_up_team(
         got = f"{len(out)} of {len(own)} blocks out of it: {names}"
         raise InputError(f"reach of {where}", got, "bases from which one of the arms reaches each")
     for one in found.arms:
-        if not beside_supports(_base_of(one), pieces):
-            at = [round(v, 4) for v in _base_of(one)[:2]]
-            expected = f"one {NEAREST:g} m from supports, which a layout can give"
-            raise InputError(f"base of {one.name}", at, expected)
+        check_beside_supports(one.name, _base_of(one), pieces)
     placed = (k for k, piece in enumerate(pieces) if not piece.fixed)
     order = sorted(placed, key=lambda k: float(pieces[k].extent[0][2]))
     steps = tuple(StepOf(k) for k in order)
