@@ -548,7 +548,9 @@ def test_blocks_that_no_face_lets_the_tool_hold_are_named_before_planning(
     flat = r"slat: no two faces at most 77 mm apart and 21 mm deep for fingers', .*; "
     other = "`arm=panda` holds all of them with `tool=gripper`"
     with pytest.raises(InputError, match=flat + other):
-        check_held(get_arm("ur5e", "gripper"), pieces_of(slats), studs=True)
+        check_held(get_arm("ur5e", "gripper"), pieces_of(slats))
+    with pytest.raises(InputError, match=r"slat: .*; `tool=socket` holds all of them$"):
+        check_held(get_arm("ur5e", "gripper"), pieces_of(slats), studs=0.008)
     check_held(UR5E, pieces_of(Assembly(wall)))
     heavy = dataclasses.replace(wall[0], density=20_000.0)
     with pytest.raises(InputError, match=r"sill: 10\.00 kg is too heavy"):

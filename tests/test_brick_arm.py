@@ -29,6 +29,7 @@ from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.holding import LEAST_GRIP, PAD, STUD_ROOM, holds_of
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Move, Scene
+from learn2assemble.simulation.cell import DynamicCell
 from learn2assemble.simulation.dry_run import play
 from learn2assemble.statics.proofs import CLUTCH
 from learn2assemble.viewer.arm import arm_section, object_name
@@ -277,8 +278,87 @@ def test_what_one_arm_finds_no_order_for_is_told_what_would_help(tmp_path: Path)
     assert with_hands.complete
     held = sum(step.action == "hold" for step in with_hands.steps)
     assert held
+    assert "; no other tool of the arm does: socket" in (plan.reason or "")
     said = f"; without an arm, with hands it is built (`hands=`), which hold {held} times"
     assert (plan.reason or "").endswith(said)
+
+
+SIDE_BY_SIDE = [
+    ((4, 2), (0, 0, 0)),
+    ((2, 2), (0, 0, 1)),
+    ((2, 2), (2, 0, 1)),
+    *(((1, 2), (x, 0, 2)) for x in range(4)),
+]
+
+
+def test_a_socket_builds_what_fingers_have_no_room_for() -> None:
+    """Bricks one stud wide side by side, in the dynamic cell."""
+    bricks = [
+        Brick((x, y, 3 * z), (a, b, 3), f"brick {k}")
+        for k, ((a, b), (x, y, z)) in enumerate(SIDE_BY_SIDE)
+    ]
+    design = assembly_of(BrickModel(tuple(bricks)), load_kit("lego"), "side by side")
+    refused = l2a.build(design, arm="panda")
+    assert refused.status == "refused"
+    said = "with `tool=socket` there is an order in which the arm does every step"
+    assert said in (refused.reason or "")
+    _is_built(design, "socket", 0)
+
+
+@pytest.mark.parametrize(("design", "beside"), [(STAIR, 1), (WALL, 0)], ids=["stair", "wall"])
+def test_a_large_socket_builds_large_bricks(design: Assembly, beside: int) -> None:
+    _is_built(design, "socket-large", beside)
+
+
+def _is_built(design: Assembly, tool: str, beside: int) -> None:
+    """At the first try, with so many parts that are built beside."""
+    plan = l2a.build(design, arm="panda", tool=tool)
+    assert plan.complete, plan.reason
+    assert plan.arm is not None
+    assert plan.arm.attempts == len(plan.steps) + beside
+    assert plan.arm.error_worst is not None
+    assert plan.arm.error_worst < 1e-4
+
+
+def test_a_socket_holds_studs_that_nothing_covers() -> None:
+    socket, z = get_arm("panda", "socket"), np.array([0.0, 0.0, 1.0])
+    brick = Part((0.0, 0.0, 0.0), (0.016, 0.008, 0.0048))
+    on_top = Part((0.004, 0.004, 0.0096), (0.012, 0.004, 0.0048))
+    alone = {hold.point[:2] for hold in holds_of(socket, (brick,), z)}
+    rows = np.array([-0.012, -0.004, 0.004, 0.012])
+    assert {(round(x, 9), round(y, 9)) for x, y in alone} == {
+        (x, y) for x in rows.round(9).tolist() for y in (-0.004, 0.004)
+    }
+    both = [hold for hold in holds_of(socket, (brick, on_top), z) if hold.part == 0]
+    left = {(round(x, 9), round(y, 9)) for x, y, _ in (hold.point for hold in both)}
+    assert left == {(x, -0.004) for x in rows.round(9).tolist()} | {(-0.012, 0.004)}
+
+
+@pytest.mark.parametrize(
+    ("aside", "taken"), [((0.0, 0.0), True), ((5e-4, 5e-4), True), ((1.2e-3, 0.0), False)]
+)
+def test_a_socket_beside_a_stud_does_not_close(aside: tuple[float, float], taken: bool) -> None:
+    cell = DynamicCell(get_arm("panda", "socket"), precheck=False)
+    half = np.array([0.008, 0.008, 0.0048])
+    position = np.array([[0.05, -0.3, 0.0048]])
+    hand = Attitude(depth=0.0048, aside=(0.004 + aside[0], 0.004 + aside[1], 0.0))
+    scene = Scene(position, np.zeros(1), np.zeros(1, int), 0, half[None])
+    found = cell.attempt(scene, Move(0, np.array([0.0, 0.1, 0.0048]), hand, hand))
+    assert found.reached == taken, found
+    assert taken or "the socket does not close on block 0" in found.detail
+
+
+@pytest.mark.parametrize(
+    ("design", "tool", "said"),
+    [
+        (WALL, "socket", "tool: got 'socket', expected .*socket-large.*: studs are 16 mm apart"),
+        (None, "socket", "tool: got 'socket', expected .*suction.*: blocks have no studs"),
+    ],
+)
+def test_a_socket_is_for_studs_of_its_size(design: Assembly | None, tool: str, said: str) -> None:
+    what = np.ones((2, 1, 1), bool) if design is None else design
+    with pytest.raises(InputError, match=said):
+        l2a.build(what, arm="panda", tool=tool)
 
 
 def test_what_is_asked_of_an_arm_that_its_build_does_not_take_is_refused() -> None:

@@ -191,7 +191,7 @@ def test_an_arm_tells_what_is_looked_for_and_how_far_that_is(
     ):
         assert any(line.startswith(what) for line in told), what
     told.clear()
-    monkeypatch.setattr(carry_out, "with_other_tools", lambda _: ["suction-side"])
+    monkeypatch.setattr(carry_out, "with_other_tools", lambda *_: ["suction-side"])
     plan = l2a.build(cells)
     assert carry_out.advise(plan, Workcell("ur5e", "suction"), 1e-4, told.append)
     assert told[0] == "trying whether the arm does it with the tool suction-side"

@@ -18,6 +18,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.motion.recorder import holding
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.grasps import Attitude
+from learn2assemble.robot.hand import tool_limits
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.moves import (
@@ -67,6 +68,45 @@ def test_shares_of_what_the_cup_holds() -> None:
     off, slip = CUP.load(none, np.array([0, CUP.pull_off * CUP.radius, CUP.torsion]))
     assert (off, slip) == pytest.approx((1.0, 1.0))
     assert CUP.load(np.array([1.0, 0, 2 * CUP.pull_off]), none)[1] == math.inf
+
+
+def test_shares_of_what_a_socket_holds() -> None:
+    """By hand: pressed with 10 N and held with 4.2 N it stands on its face of 7.6 mm, so what it
+    presses on may push back 5.4 mm beside its axis, along either side."""
+    tool = load_suction(TOOLS["socket"])
+    assert tool is not None
+    (socket,) = tool.cups
+    none, side = np.zeros(3), 0.95 * 0.008 / 2
+    assert socket.load(np.array([0, 0, socket.pull_off]), none)[0] == pytest.approx(1.0)
+    tilts = np.array([0, socket.pull_off * side, 0])
+    assert socket.load(none, tilts)[0] == pytest.approx(1.0)
+    assert socket.load(none, tilts + tilts[[1, 0, 2]])[0] == pytest.approx(1.0)
+    assert socket.load(np.array([0, 0, -10.0]), tilts)[0] == 0.0
+    beside = side * (1 + socket.pull_off / 10)
+    for off in (0.999, -0.999):
+        assert socket.presses((off * beside, 0.0), 10.0)
+        assert socket.presses((off * beside, off * beside), 10.0)
+        assert not socket.presses((0.0, off * 1.003 * beside), 10.0)
+
+
+@pytest.mark.parametrize("name", ["suction", "socket"])
+def test_what_a_hand_may_give_is_what_its_tool_holds(name: str) -> None:
+    """The linear limits of a hand say so of no wrench that its cup or socket does not hold, and of
+    most that it holds."""
+    tool = load_suction(TOOLS[name])
+    assert tool is not None
+    (cup,) = tool.cups
+    rows, most = tool_limits(cup)
+    rng, agree = np.random.default_rng(4), 0
+    scale = np.array([cup.shear, cup.shear, 2 * cup.pull_off, *[cup.pull_off * cup.radius] * 3])
+    scale[5] = cup.torsion
+    for wrench in rng.uniform(-1, 1, (500, 6)) * scale:
+        # What the cup gives the block, the block does to the cup the other way.
+        holds = max(cup.load(-wrench[:3], -wrench[3:])) <= 1
+        counted = bool((rows @ wrench <= most + 1e-12).all())
+        assert holds or not counted
+        agree += holds == counted
+    assert agree > 450
 
 
 @pytest.fixture

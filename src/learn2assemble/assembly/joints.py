@@ -71,6 +71,11 @@ class Joint:
             return max(self.tensile, self.shear) > 0
         return self.law == "clutch" and self.capacity > 0
 
+    @property
+    def studs(self) -> float:
+        """Distance of the studs by which it clutches [m]; 0: it does not."""
+        return self.pitch[0] if self.law == "clutch" and self.holds else 0.0
+
 
 DRY = Joint()
 _OF_LAW = {

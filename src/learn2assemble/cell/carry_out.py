@@ -168,28 +168,29 @@ def _refused(plan: Plan, found: Prepared, workcell: Workcell, advice: str) -> Pl
 def advise(plan: Plan, workcell: Workcell, joint: float, progress: Progress) -> str:
     """With what a plan that the arm cannot carry out is built, in one clause; empty where nothing
     was found. All of it is tried: every other tool of the arm, on plans of up to
-    :data:`MOST_STEPS` steps; of bricks that clutch, which fingers alone hold, hands.
+    :data:`MOST_STEPS` steps; of bricks that clutch, hands.
 
     Args:
         plan, joint: as a build with another tool would begin with them.
     """
     assert plan.assembly is not None
-    if plan.assembly.holds:
-        return with_hands(plan.assembly)
+    hands = with_hands(plan.assembly) if plan.assembly.holds else ""
     if len(plan.steps) > MOST_STEPS:
-        return ""
+        return hands
     # Of the processor: on a busy machine as much is tried.
     tried, clock = list[str](), Clock(_SECONDS, time.process_time)
-    for tool in with_other_tools(get_arm(workcell.arm, workcell.tool)):
+    others = with_other_tools(get_arm(workcell.arm, workcell.tool), plan.assembly.joint.studs)
+    for tool in others:
         if clock.left <= 0:
-            return ""
+            return hands
         progress(f"trying whether the arm does it with the tool {tool}")
         with suppress(InputError):  # It holds not every block, or there is no room for magazines.
             other = replace(workcell, tool=tool)
             if not prepare(plan, other, joint, _told_of(tool, progress)).order.stuck:
                 return f"with `tool={tool}` there is an order in which the arm does every step"
         tried.append(tool)
-    return f"no other tool of the arm does: {', '.join(tried)}" if tried else ""
+    none = f"no other tool of the arm does: {', '.join(tried)}" if tried else ""
+    return "; ".join(filter(None, (none, hands)))
 
 
 def _told_of(tool: str, progress: Progress) -> Progress:

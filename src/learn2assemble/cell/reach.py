@@ -278,22 +278,39 @@ def report_reach(
     blocks = tuple(block for block in plan.assembly.blocks if not block.support)
     own = replace(plan.assembly, blocks=blocks, steps=(), not_built=())
     pieces = with_rests(pieces_of(own), get_arm(arm, tool))
-    check_held(get_arm(arm, tool), pieces, plan.assembly.holds)
+    check_held(get_arm(arm, tool), pieces, plan.assembly.joint.studs)
     best = here = suggest(arm, tool, pieces)
     if site is not None and site.base is not None:
         here = reach_from(place_arm(arm, tool, site.base), site.base, pieces)
     return ReachReport(arm, tool, own, here, best)
 
 
-def check_held(arm: Arm, pieces: Sequence[Piece], studs: bool = False) -> None:
+def check_tool(arm: Arm, studs: float) -> None:
+    """Refuse a tool that is none for blocks with studs so far apart [m], or without (0).
+
+    Raises:
+        InputError: naming the tools that are.
+    """
+    if arm.fits(studs):
+        return
+    cup = arm.suction is not None and not arm.suction.studs
+    why = "a cup does not hold on studs" if cup else "blocks have no studs"
+    if studs and not cup:
+        why = f"studs are {1e3 * studs:g} mm apart"
+    names = [name for name, one in with_other_tools(arm, studs).items() if one.fits(studs)]
+    raise InputError("tool", arm.tool_name, f"{' or '.join(names) or 'another arm'}: {why}")
+
+
+def check_held(arm: Arm, pieces: Sequence[Piece], studs: float = 0.0) -> None:
     """Refuse blocks that the tool cannot hold at any face.
 
     Args:
-        studs: whether they have some, on which no cup holds.
+        studs: of the blocks, how far apart they are [m]; 0: they have none.
 
     Raises:
         InputError: naming them, by reason, and a tool that holds all of them.
     """
+    check_tool(arm, studs)
     names = _not_held(arm, pieces)
     if not names:
         return
@@ -302,7 +319,7 @@ def check_held(arm: Arm, pieces: Sequence[Piece], studs: bool = False) -> None:
         listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
         words.append(f"{listed}: {why}")
     more = f" (and {len(words) - 6} more reasons)" if len(words) > 6 else ""
-    others = {} if studs else with_other_tools(arm)
+    others = with_other_tools(arm, studs)
     # Another tool turns blocks from where they wait in other ways.
     holds = (name for name, one in others.items() if not _not_held(one, with_rests(pieces, one)))
     other = next(holds, None)
@@ -322,14 +339,20 @@ def _holds_all(name: str, arm: Arm, pieces: Sequence[Piece]) -> bool:
     return False
 
 
-def with_other_tools(arm: Arm) -> dict[str, Arm]:
+def with_other_tools(arm: Arm, studs: float) -> dict[str, Arm]:
     """The arm, where its file says, with every other tool that it can have, by its name; for a cup
-    other cups come first, which come to a block alike."""
+    other cups come first, which come to a block alike.
+
+    Args:
+        studs: of the blocks that it shall hold, how far apart they are [m]; 0: they have none.
+    """
     found: dict[str, Arm] = {}
     for tool in TOOLS:
         with suppress(InputError):  # It has no fingers.
             found[tool] = get_arm(arm.name, tool)
-    others = [name for name, one in found.items() if one.tool_name != arm.tool_name]
+    others = [
+        name for name, one in found.items() if one.tool_name != arm.tool_name and one.fits(studs)
+    ]
     others.sort(key=lambda name: (found[name].suction is None) != (arm.suction is None))
     return {name: found[name] for name in others}
 
@@ -379,7 +402,7 @@ def set_up(job: Job, name: str, tool: str, site: Site, progress: Progress = sile
     job = replace(job, obstacles=(*site.obstacles, *site.kept_out), pieces=every)
     # What can be done by hand asks nothing of the arm, nor does what stands there and stays.
     pieces = [p for p in every if not (p.fixed or (job.hands and p.prop))]
-    check_held(get_arm(name, tool), pieces, job.assembly.holds)
+    check_held(get_arm(name, tool), pieces, job.assembly.joint.studs)
     order = [step.block for step in job.steps if not step.remove]
     given = given_sources(site, every, order)
     top = max(p.top for p in every)

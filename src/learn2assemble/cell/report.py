@@ -40,7 +40,9 @@ def words_of(job: Job, workcell: Workcell) -> str:
 
     if workcell.physics == "kinematic":
         return "kinematic cell: reach and collisions"
-    holds = "a suction cup" if job.arm.suction else "friction of the fingers"
+    holds = "friction of the fingers"
+    if job.arm.suction is not None:
+        holds = "a socket on a stud" if job.arm.suction.studs else "a suction cup"
     return f"MuJoCo {mujoco.__version__}, arm and blocks together, held by {holds}"
 
 
@@ -272,7 +274,8 @@ def carried_out(
         pose = world.pose[step.block] if there else world.target(step.block)
         x, y, z, w, a, b, c = (rounded(v) for v in pose)
         above = "above" if attempt is None or not attempt.sideways else "the side"
-        how = f"suction from {above}" if by.building.job.arm.suction else "fingers"
+        tool = by.building.job.arm.suction
+        how = "fingers" if tool is None else "socket" if tool.studs else f"suction from {above}"
         hand = attempt is not None and attempt.hand
         steps.append(
             replace(

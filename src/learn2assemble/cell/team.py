@@ -99,12 +99,12 @@ class TeamReach:
 
 
 def team_reach(
-    arms: Sequence[SiteArm], pieces: Sequence[Piece], studs: bool = False, level: bool = False
+    arms: Sequence[SiteArm], pieces: Sequence[Piece], studs: float = 0.0, level: bool = False
 ) -> TeamReach:
     """What arms reach from their bases, or from opposite sides of the site where these are free.
 
     Args:
-        studs: whether blocks have some, on which no cup holds.
+        studs: of the blocks, how far apart they are [m]; 0: they have none.
         level: whether they put blocks down with their tools level, see :func:`is_narrow`.
 
     Raises:
@@ -193,7 +193,7 @@ def report_team(plan: Plan, arms: Sequence[SiteArm]) -> TeamReach:
     bare = _without_props(plan.assembly)
     level = is_narrow(find_contacts(bare))
     bare = replace(bare, blocks=tuple(block for block in bare.blocks if not block.support))
-    return replace(team_reach(arms, pieces_of(bare), bare.holds, level), assembly=bare)
+    return replace(team_reach(arms, pieces_of(bare), bare.joint.studs, level), assembly=bare)
 
 
 def _without_props(assembly: Assembly) -> Assembly:
@@ -233,7 +233,7 @@ def set_up_team(
     own = [piece for piece in pieces if not piece.fixed]
     joints = find_contacts(assembly)
     level = len(arms) > 1 and is_narrow(joints)
-    found = team_reach(arms, own, assembly.holds, level)
+    found = team_reach(arms, own, assembly.joint.studs, level)
     if out := found.out:
         names = ", ".join(own[k].id for k in out[:3])
         names += f" and {len(out) - 3} more" if out[3:] else ""
@@ -431,7 +431,7 @@ def told_of(members: Sequence[Member]) -> tuple[BuilderArm, ...]:
     level = members[0].job.arm.works_level
     arms = [_site_arm(member) for member in members]
     own = [piece for piece in members[0].job.pieces if not piece.fixed]
-    reached = team_reach(arms, own, level=level)
+    reached = team_reach(arms, own, members[0].job.assembly.joint.studs, level)
     return tuple(
         BuilderArm(a.name, a.arm, a.tool or TOOL, _base_of(a), reached.count - len(reach.out))
         for a, reach in zip(reached.arms, reached.reaches, strict=True)

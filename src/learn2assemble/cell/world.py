@@ -20,7 +20,7 @@ from learn2assemble.geometry.rotations import (
 )
 from learn2assemble.robot.bodies import Shape
 from learn2assemble.robot.grasps import WAY, facing
-from learn2assemble.robot.holding import attitude, ways_to_turn
+from learn2assemble.robot.holding import Way, attitude, ways_to_turn
 from learn2assemble.robot.moves import ARM_THERE, Move, Scene
 
 if TYPE_CHECKING:
@@ -305,6 +305,7 @@ def moves(
     if press is not None:
         at = {id(way): goal[:2] + (way.goal @ np.array(way.hold.point))[:2] for way in ways}
         ways.sort(key=lambda way: round(math.dist(at[id(way)], press), 3))
+        ways = [way for way in ways if _bears(world, way, at[id(way)], press)]
     for way in ways:
         centre = np.array(piece.shape[way.hold.part].centre)
         grasp = attitude(way.hold, centre, now, way.grasp)
@@ -328,6 +329,17 @@ def moves(
                 far = way_out(rows, mine, -np.array(one), np.vstack(corners))
                 there = there._replace(way=max(far or 0.0, there.way))
             yield Move(of_part[way.hold.part], target, lift, there)
+
+
+def _bears(world: WorkcellBlocks, way: Way, at: np.ndarray, press: tuple[float, float]) -> bool:
+    """Whether a hand at a place float64[2] [m] can press a brick home elsewhere: a socket that is
+    too far beside would tip off it."""
+    suction = world.job.arm.suction
+    if suction is None:
+        return True
+    socket, turn = suction.cups[0], way.place[:2, :2]
+    x, y = (turn.T @ (np.array(press) - at)).tolist()
+    return socket.presses((x, y), world.job.assembly.joint.press)
 
 
 def way_out(

@@ -121,7 +121,11 @@ STATE = "build.jsonl"
     ),
     group(
         "how the arm builds (docs/arms.md)",
-        arg("--tool", help="suction (default), suction-side, suction-wide, gripper"),
+        arg(
+            "--tool",
+            help="suction (default), suction-side, suction-wide, gripper; of bricks with studs "
+            "gripper (default), socket, socket-large",
+        ),
         arg("--layout", type=named, metavar="FILE", help="where blocks wait (docs/layouts.md)"),
         arg(
             "--physics",

@@ -67,7 +67,8 @@ def _write_page(
     arg(
         "--tool",
         default=None,
-        help="suction (default), suction-side, suction-wide or gripper (default for bricks)",
+        help="suction (default), suction-side, suction-wide or gripper (default for bricks), "
+        "socket, socket-large",
     ),
     kit_argument,
     reading_arguments,

@@ -199,7 +199,7 @@ def _frames(arm: Arm, settings: ProgramSettings) -> list[str]:
 def _tool(program: Program, arm: Arm, settings: ProgramSettings) -> list[str]:
     driver, output, held = driver_of(arm), settings.output, settings.input
     level = "on" if output.on else "off"
-    does = "the vacuum is made" if program.suction else "the gripper closes"
+    does = "the tool takes hold" if program.suction else "the gripper closes"
     kind = "digital" if held.threshold is None else f"analog (threshold {held.threshold:g} V)"
     return [
         f"{program.tool}: {1000 * driver.tool_mass:.0f} g, its tool point in the flange at "

@@ -40,9 +40,9 @@ from learn2assemble.jobs.kinds import (
     check_asked,
     check_laid,
     goals_plan,
-    has_studs,
     kit_of,
     rebuilt_by,
+    studs_of,
     team_plan,
     with_plates,
     with_tools,
@@ -132,7 +132,8 @@ def build(
         progress: called with a line of text for everything that takes long, and every 1.5 s with
             how far it has come, the best so far and the time that is left.
         tool: what the arm holds blocks with, ``"suction"`` (the default), ``"suction-side"``,
-            ``"suction-wide"`` or ``"gripper"``.
+            ``"suction-wide"`` or ``"gripper"``; of bricks with studs ``"gripper"`` (the default),
+            ``"socket"`` or, of large ones, ``"socket-large"``.
         physics: in which cell an exact plan is carried out, ``"dynamic"`` or ``"kinematic"``.
         noise: standard deviations of what is read of blocks while an exact plan is carried out:
             along each axis [m], about each axis [rad].
@@ -229,14 +230,14 @@ def build(
     if how is not None:
         check_laid(found, kit, gap)
         how = how.read(found, kit)
-        if holds and not how.several and has_studs(found, kit):
+        if holds and not how.several and studs_of(found, kit):
             raise InputError("holds", holds, "none with one arm, which has one hand")
     if how is not None and how.several and standing is None:
         return _with_friction(team_plan(found, kit, how, help_, choice, given), friction)
     # Where a structure stands, an arm carries out what is found from the plans of both.
     workcell = None
     if how is not None and standing is None:
-        workcell = how.workcell(has_studs(found, kit))
+        workcell = how.workcell(studs_of(found, kit))
     if isinstance(found, CellDesign):
         kit = kit_of(found, kit)
         props = supports != "none"
@@ -298,7 +299,7 @@ def reach(
     how.check()
     how.workcell()  # A layout that is wrong is said before anything is planned.
     plan = build(design, planner="exact", kit=kit, seconds=seconds, **reading)
-    studs = plan.assembly is not None and has_studs(plan.assembly, None)
+    studs = 0.0 if plan.assembly is None else plan.assembly.joint.studs
     if how.several:
         from learn2assemble.cell.team import report_team
 

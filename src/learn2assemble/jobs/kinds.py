@@ -17,6 +17,7 @@ from learn2assemble.errors import (
     InputError,
     check_arguments,
     check_name,
+    look_up,
 )
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.planners import EXACT, PLANNERS, PlannerChoice
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 DEFAULT_TOOL, FINGERS = "suction", "gripper"
 """Of an arm that carries out an exact plan: with fingers, blocks cannot stand close; but what has
-studs is held by fingers alone."""
+studs is held by fingers, or by a socket."""
 
 
 PLANNED = "kinematic"
@@ -94,11 +95,11 @@ class ArmChoice(NamedTuple):
         site = self._site()
         return named_arms(self.arms, self.tool, site.arms), replace(site, arms=())
 
-    def workcell(self, studs: bool = False) -> Workcell:
+    def workcell(self, studs: float = 0.0) -> Workcell:
         """That of one arm with defaults, the layout read.
 
         Args:
-            studs: whether blocks have them.
+            studs: of the blocks, how far apart they are [m]; 0: they have none.
         """
         from learn2assemble.cell.carry_out import Workcell
 
@@ -110,7 +111,7 @@ class ArmChoice(NamedTuple):
         if site.cameras and any(self.noise):
             names = ", ".join(camera.name for camera in site.cameras)
             raise InputError("noise", self.noise, f"none: blocks are seen by {names}")
-        tool = _tool_for_studs(one.tool) if studs else one.tool or DEFAULT_TOOL
+        tool = _tool(one, studs)
         return Workcell(one.arm, tool, site, self.physics, self.seed, self.noise, log=self.state)
 
     def _site(self) -> Site:
@@ -125,20 +126,34 @@ class ArmChoice(NamedTuple):
         return site
 
 
-def _tool_for_studs(tool: str | None) -> str:
-    """What holds bricks with studs.
+def _tool(one: SiteArm, studs: float) -> str:
+    """What an arm holds blocks with: where they have studs fingers, or a socket where it has none.
+
+    Args:
+        studs: how far apart they are [m]; 0: there are none.
 
     Raises:
-        InputError: for another tool that was asked for.
+        InputError: for a tool that was asked for and is none for such blocks.
     """
-    if tool not in (None, FINGERS):
-        raise InputError("tool", tool, f"{FINGERS}: a cup does not hold on studs")
-    return FINGERS
+    from learn2assemble.cell.reach import check_tool, with_other_tools
+    from learn2assemble.robot.arm import get_arm, load_arm
+    from learn2assemble.robot.registry import ARMS
+
+    tool = one.tool
+    if tool is None:
+        tool = DEFAULT_TOOL
+        if studs and load_arm(look_up("arm", one.arm, ARMS)).gripper.fingers:
+            tool = FINGERS
+        elif studs:
+            tool = next(iter(with_other_tools(get_arm(one.arm, DEFAULT_TOOL), studs)), DEFAULT_TOOL)
+    check_tool(get_arm(one.arm, tool), studs)
+    return tool
 
 
-def with_tools(arms: list[SiteArm], studs: bool) -> list[SiteArm]:
-    """The arms; where blocks have studs, with what holds these."""
-    return [one._replace(tool=_tool_for_studs(one.tool)) for one in arms] if studs else arms
+def with_tools(arms: list[SiteArm], studs: float) -> list[SiteArm]:
+    """The arms with what holds blocks whose studs are so far apart [m]; as they are where there are
+    none (0)."""
+    return [one._replace(tool=_tool(one, studs)) for one in arms] if studs else arms
 
 
 def check_asked(
@@ -315,7 +330,7 @@ def _for_given(design: Assembly, workcell: Workcell) -> Workcell:
         for p, b in zip(pieces_of(design), design.blocks, strict=True)
         if not (b.support or b.prop)
     ]
-    check_held(get_arm(workcell.arm, workcell.tool), pieces, design.holds)
+    check_held(get_arm(workcell.arm, workcell.tool), pieces, design.joint.studs)
     return replace(workcell, hands=True)
 
 
@@ -339,7 +354,7 @@ def team_plan(
 
     if isinstance(design, Goals):
         raise InputError("goals", f"{len(how.arms)} arms", "one arm, or a design")
-    studs = has_studs(design, kit)
+    studs = studs_of(design, kit)
     options = {name: value for name, value in given.items() if name != "progress"}
     posts, progress = help_.supports != "none", given["progress"]
 
@@ -401,18 +416,18 @@ def rebuilt_by(how: ArmChoice, plan: Plan, joint: float, progress: Callable[[str
     if not how.several:
         return carry_out(plan, how.workcell(), joint=joint, progress=progress)
     assert plan.assembly is not None
-    members, cell = _team(plan.assembly, how, False, progress)
+    members, cell = _team(plan.assembly, how, 0.0, progress)
     plan = replace(plan, arms=told_of(members))
     return build_by_two(plan, members, cell, joint=joint, progress=progress)
 
 
 def _team(
-    assembly: Assembly, how: ArmChoice, studs: bool, progress: Callable[[str], None]
+    assembly: Assembly, how: ArmChoice, studs: float, progress: Callable[[str], None]
 ) -> tuple[list[Member], Workcell]:
     """Two arms in their cell, and how they build.
 
     Args:
-        studs: whether blocks have some.
+        studs: of the blocks, how far apart they are [m]; 0: they have none.
     """
     from learn2assemble.cell.team import set_up_team
     from learn2assemble.cell.workcell import Workcell
@@ -464,12 +479,12 @@ def _check_bricks(
         raise InputError("planner", planner, f"exact, for bricks of kit {kit.name}")
 
 
-def has_studs(design: Assembly | CellDesign | Goals, kit: Kit | None) -> bool:
-    """Whether what a design is built of clutches."""
+def studs_of(design: Assembly | CellDesign | Goals, kit: Kit | None) -> float:
+    """How far apart the studs are of what a design is built of [m]; 0: it does not clutch."""
     if isinstance(design, Goals):
-        return False
+        return 0.0
     joint = kit_of(design, kit).joint if isinstance(design, CellDesign) else design.joint
-    return joint.law == "clutch" and joint.holds
+    return joint.studs
 
 
 def _check_pressed(blocks: Assembly, supports: str) -> None:

@@ -3,6 +3,7 @@
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
+import math
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -155,6 +156,11 @@ class Arm:
     def turns(self) -> tuple[float, ...]:
         """Other turns of the hand about the vertical in which it holds the same [rad]."""
         return (np.pi,) if self.suction is None else (np.pi, np.pi / 2, -np.pi / 2)
+
+    def fits(self, studs: float) -> bool:
+        """Whether its tool is one for blocks with studs so far apart [m], or without (0): fingers
+        are for all, a cup does not hold on studs, and a socket on those of its own size alone."""
+        return self.suction is None or math.isclose(self.suction.studs, studs, rel_tol=1e-3)
 
     def limits(self, branch: str | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper joint limits [rad] of a branch, by default the preferred one, within

@@ -56,7 +56,7 @@ def hand_limits(arm: Arm, move: Move, joints: np.ndarray) -> HandLimits:
     else:
         cup = next(one for one in arm.suction.cups if one.lip == move.place.lip)
         point = point + tool @ np.array(cup.lip.at)
-        limits.append(_turned(_cup(cup), tool @ cup.lip.frame()))
+        limits.append(_turned(tool_limits(cup), tool @ cup.lip.frame()))
     if math.isfinite(arm.payload):
         ways, share = ball(3)
         rows = np.hstack([ways, np.zeros_like(ways)])
@@ -69,24 +69,26 @@ def hand_limits(arm: Arm, move: Move, joints: np.ndarray) -> HandLimits:
     return HandLimits(point, rows, most)
 
 
-def _cup(cup: Cup) -> tuple[np.ndarray, np.ndarray]:
+def tool_limits(cup: Cup) -> tuple[np.ndarray, np.ndarray]:
     """Inequalities of what a cup gives, along its axes about the middle of its lip.
 
     With the pull N, the moment M that tilts it, S along the face and T about the axis:
     N + |M| / r <= F and (S / S_max)^2 + (T / T_max)^2 <= (1 - N / F)^2, also with N = 0 where it
-    is pressed on.
+    is pressed on; a socket, N + max(|M_x|, |M_y|) / r <= F, and tilts less where it presses.
     """
-    flat, share = ball(2)
+    flat, share = (np.vstack([np.eye(2), -np.eye(2)]), 1.0) if cup.studs else ball(2)
     full = cup.pull_off * cup.radius
     tilts = np.zeros((len(flat), 6))
     tilts[:, 3:5] = flat / (share * full)
     ways, share = ball(3)
     slips = np.zeros((len(ways), 6))
     slips[:, [0, 1, 5]] = ways / [cup.shear, cup.shear, cup.torsion] / share
-    both = np.vstack([tilts, slips])
     # The block pulls on the cup where the cup pulls on it: against the axis that points out of it.
-    pulled = both - [0.0, 0.0, 1.0 / cup.pull_off, 0.0, 0.0, 0.0]
-    return np.vstack([both, pulled]), np.ones(2 * len(both))
+    pull = [0.0, 0.0, 1.0 / cup.pull_off, 0.0, 0.0, 0.0]
+    rows = [slips, slips - pull, tilts - pull] if cup.studs else [tilts, slips]
+    if not cup.studs:
+        rows += [row - pull for row in rows]
+    return np.vstack(rows), np.ones(sum(map(len, rows)))
 
 
 def _fingers(gripper: Gripper) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,5 @@
-"""Where a tool can hold a block: a cup on a plane face, fingers on two parallel ones.
+"""Where a tool can hold a block: a cup on a plane face, a socket on a stud, fingers on two parallel
+faces.
 
 A cup meets a face where its lip has room, as near to the line through the centre of mass as that
 allows; fingers close on two opposite faces where both have room for the pads. Faces that parts of
@@ -19,6 +20,7 @@ import numpy as np
 from learn2assemble.geometry.hulls import cross_product
 from learn2assemble.robot.bodies import Shape, body_of
 from learn2assemble.robot.grasps import FIRST, MOST_TILT, UPRIGHT, Attitude, Lip, facing
+from learn2assemble.robot.studs import stud_axes
 
 if TYPE_CHECKING:
     from learn2assemble.robot.arm import Arm
@@ -47,6 +49,10 @@ CAPTURE = 0.0005
 """The lip of a cup at a side keeps this distance from the edges of a face [m]."""
 _PARALLEL = math.radians(0.5)
 """Faces on which fingers close are off being parallel by less [rad]."""
+_TOP = 1 - 1e-6
+"""A face is on top where its normal points up by more than this, in the frame of the block."""
+STUD_SHARE = 0.3
+"""Radius of a stud, in distances of studs; large and small ones have 0.3."""
 _OUT = 1e-4
 """Just outside a face [m]."""
 
@@ -110,7 +116,31 @@ def holds_of(arm: Arm, shape: Shape, up: np.ndarray) -> tuple[Hold, ...]:
 
 @lru_cache(maxsize=4096)
 def _cup_holds(suction: Suction, shape: Shape, up: tuple[float, float, float]) -> tuple[Hold, ...]:
+    if suction.studs:
+        return tuple(_on_studs(suction.cups[0], shape))
     return tuple(hold for cup in suction.cups for hold in _on_faces(cup, shape, np.array(up)))
+
+
+def _on_studs(socket: Cup, shape: Shape) -> Iterator[Hold]:
+    """A hold on every stud of a brick: on its top, as the kit has it."""
+    import shapely
+
+    body, down = body_of(shape), (0.0, 0.0, -1.0)
+    for number, part in enumerate(shape):
+        for face in np.flatnonzero(part.solid.normals[:, 2] > _TOP).tolist():
+            corners = part.solid.polygon(face) + np.array(part.centre)
+            axes, foot = _axes(part.solid.normals[face], corners), corners[0]
+            free, (x0, y0, z), (x1, y1, _) = (
+                free_face(shape, number, face),
+                corners.min(0).tolist(),
+                corners.max(0).tolist(),
+            )
+            for x, y in stud_axes(np.array([x0, y0]), np.array([x1, y1]), socket.studs).tolist():
+                at = np.array([x, y, z])
+                stud = shapely.Point(axes @ (at - foot)).buffer(STUD_SHARE * socket.studs)
+                if free.contains(stud):
+                    off = math.dist((x, y), body.centre[:2].tolist())
+                    yield Hold(number, _tuple(at), down, (1.0, 0.0, 0.0), 0.0, FIRST, off)
 
 
 def _on_faces(cup: Cup, shape: Shape, up: np.ndarray) -> Iterator[Hold]:
@@ -328,10 +358,13 @@ def why_not_held(arm: Arm, shape: Shape, mass: float, axis: np.ndarray | None = 
     if not any(axis is None or np.dot(hold.axis, axis) > math.cos(FACING) for hold in found):
         if cup is None:
             return no_faces(arm, shape)
+        if cup.studs:
+            return f"a block of {_size(shape)} mm has no stud for a socket"
         diameter = 1e3 * cup.cups[0].diameter
         return f"a block of {_size(shape)} mm is too small for a cup of {diameter:g} mm"
     if cup is not None and mass > cup.payload:
-        return f"{mass:.2f} kg is too heavy for a cup that takes {cup.payload:g} kg"
+        what = "socket" if cup.studs else "cup"
+        return f"{mass:.2f} kg is too heavy for a {what} that takes {cup.payload:g} kg"
     return None
 
 

@@ -19,7 +19,14 @@ TOOLS: Registry[Path] = Registry(
     "tool",
     {
         name: ASSETS / "tools" / name / "tool.toml"
-        for name in ("gripper", "suction", "suction-side", "suction-wide")
+        for name in (
+            "gripper",
+            "suction",
+            "suction-side",
+            "suction-wide",
+            "socket",
+            "socket-large",
+        )
     },
 )
 """Every tool by name, and its file; ``gripper`` are the fingers an arm comes with."""

@@ -4,8 +4,26 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 GROUND = -1
 Point = tuple[float, float]
+
+
+def stud_axes(low: np.ndarray, high: np.ndarray, pitch: float) -> np.ndarray:
+    """float64[n, 2]: where the studs of a brick are, whose top is between two corners float64[2],
+    row by row [m].
+
+    Args:
+        pitch: distance of studs [m].
+    """
+    counts = np.maximum(np.rint((high - low) / pitch), 1).astype(int)
+    axes: list[np.ndarray] = []
+    middles: list[float] = ((high + low) / 2).tolist()
+    for middle, count in zip(middles, counts.tolist(), strict=True):
+        axes.append(middle + pitch * (np.arange(count) - (count - 1) / 2))
+    x, y = axes
+    return np.column_stack([np.repeat(x, len(y)), np.tile(y, len(x))])
 
 
 class StudJoint(NamedTuple):

@@ -1,4 +1,4 @@
-"""Tools as data: fingers that come with an arm, and suction tools from a ``tool.toml``.
+"""Tools as data: fingers that come with an arm, suction tools and sockets from a ``tool.toml``.
 
 A suction tool holds by the force F with which the air presses its cup on a face. In the frame of
 the cup, let N be the pull along its axis, M the moment that tilts the block, S the force along the
@@ -12,6 +12,11 @@ an ellipse: Howe and Cutkosky 1996; the share that is left is how suppliers of c
 F >= m (g + a / mu) for a block that hangs and is accelerated sideways),
 
     (S / S_max)^2 + (T / T_max)^2 <= (1 - N / F)^2.
+
+A socket clamps one stud of a brick and stands on the brick round it with a square face of half the
+side r, so it presses as well as it pulls: with N negative where it presses, it keeps holding while
+
+    N + max(|M_x|, |M_y|) / r <= F.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -19,6 +24,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -36,6 +42,8 @@ ATMOSPHERE = 101_325.0
 """No vacuum presses harder than this [Pa]."""
 FARTHEST_PART = 0.6
 """No part of a tool is farther from the middle of the flange along an axis [m]."""
+FACE = 0.95
+"""Side of the face of a socket, in distances of studs: bricks beside are not touched."""
 _GREY, _BLACK = (0.75, 0.76, 0.78, 1.0), (0.2, 0.2, 0.22, 1.0)
 
 
@@ -91,13 +99,20 @@ class Cup:
     torsion: float
     """Moment about the axis at which it turns [N m]."""
     lip: Lip = FIRST
+    studs: float = 0.0
+    """Of a socket, the distance of the studs of which it clamps one [m]; 0: a cup, on plane
+    faces."""
+    capture: float = 0.0
+    """Of a socket, how far it may be beside the axis of a stud [m]."""
 
     @property
     def radius(self) -> float:
         """Of the sealed disc [m]."""
         return self.diameter / 2
 
-    def load(self, force: np.ndarray, moment: np.ndarray) -> tuple[float, float]:
+    def load(
+        self, force: Sequence[float] | np.ndarray, moment: Sequence[float] | np.ndarray
+    ) -> tuple[float, float]:
         """Shares of what the cup holds: of the pull-off force, and of the friction at the lip;
         above 1 it does not hold.
 
@@ -107,10 +122,20 @@ class Cup:
             moment: float64[3], the same about the middle of the lip [N m].
         """
         pull = max(float(force[2]), 0.0)
-        off = (pull + math.hypot(moment[0], moment[1]) / self.radius) / self.pull_off
+        if self.studs:
+            tilt = max(abs(moment[0]), abs(moment[1])) / self.radius
+            off = max(float(force[2]) + tilt, 0.0) / self.pull_off
+        else:
+            off = (pull + math.hypot(moment[0], moment[1]) / self.radius) / self.pull_off
         slip = math.hypot(math.hypot(force[0], force[1]) / self.shear, moment[2] / self.torsion)
         left = 1.0 - pull / self.pull_off
         return off, slip / left if left > 0 else math.inf
+
+    def presses(self, off: tuple[float, float], force: float) -> bool:
+        """Whether it can press with a force [N] so far beside its axis, along the sides of its face
+        [m], without tilting what it holds."""
+        x, y = off
+        return self.load((0.0, 0.0, -force), (y * force, -x * force, 0.0))[0] <= 1.0
 
 
 class ToolPart(NamedTuple):
@@ -124,7 +149,8 @@ class ToolPart(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Suction:
-    """A tool with one cup or several on one vacuum; valves close those that meet nothing."""
+    """A tool with one cup or several on one vacuum, where valves close those that meet nothing; or
+    one with a socket for a stud, which closes and opens as a vacuum is made and let go."""
 
     cups: tuple[Cup, ...]
     """The tool point is the middle of the lip of the first."""
@@ -141,6 +167,11 @@ class Suction:
     parts: tuple[ToolPart, ...]
 
     @property
+    def studs(self) -> float:
+        """Distance of the studs that its socket fits [m]; 0: it has cups."""
+        return self.cups[0].studs
+
+    @property
     def round(self) -> bool:
         """Whether the tool is the same however it is turned about its axis."""
         return not any(p.begin[:2] != (0.0, 0.0) or p.end[:2] != (0.0, 0.0) for p in self.parts)
@@ -155,17 +186,20 @@ def load_suction(path: Path) -> Suction | None:
     where = f"tool {path.parent.name}"
     data = read_toml(path, where)
     kind = value(data, "kind", where)
-    if look_up(f"{where}, kind", kind, {"own": 0, "suction": 1}) == 0:
+    number = look_up(f"{where}, kind", kind, {"own": 0, "suction": 1, "socket": 2})
+    if number == 0:
         return None
-    cup = table(data, "cup", where)
     parts = _tables(value(data, "parts", where), "parts", where)
 
     grip_time, release_time = numbers(data, "speed", 2, where).tolist()
     if not (0 <= grip_time <= 5 and 0 <= release_time <= 5):
         raise InputError(f"{where}, speed", [grip_time, release_time], "times from 0 to 5 s")
     length = _positive(data, "length", 0.6, where)
-    first = _cup(cup, FIRST, where)
-    sides = _tables(data.get("sides", []), "sides", where)
+    if number == 2:
+        first, sides = _socket(table(data, "socket", where), where), list[dict[str, Any]]()
+    else:
+        first = _cup(table(data, "cup", where), FIRST, where)
+        sides = _tables(data.get("sides", []), "sides", where)
     others = [_side(side, length, f"{where}, sides[{k}]") for k, side in enumerate(sides)]
     return Suction(
         cups=(first, *others),
@@ -197,6 +231,17 @@ def _cup(data: dict[str, Any], lip: Lip, where: str) -> Cup:
     # No friction of the lip has a longer arm than its radius.
     torsion = _positive(data, "torsion", shear * diameter / 2, where)
     return Cup(diameter, _positive(data, "stroke", 0.02, where), pull_off, shear, torsion, lip)
+
+
+def _socket(data: dict[str, Any], where: str) -> Cup:
+    """A socket, refused where its limits are impossible."""
+    pitch = _positive(data, "pitch", 0.1, where)
+    capture = _positive(data, "capture", pitch / 4, where)
+    pull_off = _positive(data, "pull_off", 1e3, where)
+    shear = _positive(data, "shear", 1e3, where)
+    torsion = _positive(data, "torsion", shear * pitch / 2, where)
+    stroke = _positive(data, "stroke", pitch / 4, where)
+    return Cup(FACE * pitch, stroke, pull_off, shear, torsion, FIRST, pitch, capture)
 
 
 def _side(data: dict[str, Any], length: float, where: str) -> Cup:

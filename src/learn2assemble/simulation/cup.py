@@ -1,4 +1,5 @@
-"""A suction cup in the simulation: when it takes hold, what it is loaded with, how it lets go.
+"""A suction cup, or a socket, in the simulation: when it takes hold, what it is loaded with, how it
+lets go.
 
 The cup obeys its command and nothing else: with the vacuum on, it takes hold of whatever face its
 lip is closed on, once the vacuum has built up; with the vacuum off it lets go. What it holds hangs
@@ -18,6 +19,7 @@ import numpy as np
 
 from learn2assemble.robot.holding import FACING
 from learn2assemble.robot.scene import rotation_matrix
+from learn2assemble.robot.studs import stud_axes
 from learn2assemble.robot.tool import Cup, Suction
 from learn2assemble.simulation.model import SHRINK, TIMESTEP, ArmParts, SimulatedWorld
 
@@ -29,6 +31,8 @@ SLIDING = 4.0
 """Share of its give that the lip slips each step, by excess of the load: a block slips at 80 mm/s
 under 1.2 times what friction carries. The weld that stands for the bellows damps as well as it
 springs, so that a share of 1 would let it creep."""
+TIPPED = math.radians(5.0)
+"""A brick that tilts farther under a socket comes out of it [rad]."""
 UPRIGHT = (0.0, 0.0, 1.0)
 """The axis of a cup whose frame is that of the tool."""
 AWAKE = -(1 + mujoco.mjMINAWAKE)
@@ -137,7 +141,7 @@ class Vacuum:
 
     def closed_on(self, number: int, cup: Cup | None = None) -> bool:
         """Whether the lip of a cup, by default the one that is used, is closed on a face of an
-        object."""
+        object; a socket, on a stud of it."""
         d, w, cup = self.data, self.world, cup or self.used
         turn = rotation_matrix(d.xquat[w.first + number])
         point, tool = self._lip(cup)
@@ -148,8 +152,11 @@ class Vacuum:
         for geom in np.flatnonzero(w.kind == number).tolist():
             part = w.solids[geom]
             solid, apart = part.solid, lip - np.array(part.centre)
+            own = turn.T @ away - np.array(part.centre)
             for face in np.flatnonzero(solid.normals @ axis < -math.cos(FACING)):
                 normal = solid.normals[face]
+                if cup.studs and not _on_stud(solid.points, normal, own, cup):
+                    continue
                 gap = apart @ normal - solid.offsets[face]
                 flat = apart - np.outer(gap, normal)
                 # How far over an edge it is counts in the face, not across the one beyond.
@@ -202,7 +209,13 @@ class Vacuum:
         force, moment = self.load(row)
         off, slip = self.used.load(force, moment)
         self.most = max(self.most[0], off), max(self.most[1], slip)
-        if off > 1:
+        if off > 1 and force[2] < 0 and self.used.studs:
+            # What a socket presses on tilts under its face, and does not leave it.
+            self._slip(min(1.0, SLIDING * (1 - 1 / off)), tilts=True)
+            if self._tilt() < TIPPED:
+                return
+            words = f"tipped over under {-force[2]:.1f} N and {np.hypot(*moment[:2]):.2f} N m"
+        elif off > 1:
             words = f"pulled off by {force[2]:.1f} N and {np.hypot(*moment[:2]):.2f} N m"
         elif slip > 1:
             self._slip(min(1.0, SLIDING * (1 - 1 / slip)))
@@ -214,15 +227,23 @@ class Vacuum:
         self._let_go()
         self.lost = words
 
-    def _slip(self, share: float) -> None:
-        """Let the block slip along its face, and turn on it, by a share of what it is off."""
+    def _tilt(self) -> float:
+        """Angle between the axis of the cup and the vertical of what it holds [rad]."""
+        up = self.data.xmat[self.world.first + (self.held or 0)].reshape(3, 3)[:, 2]
+        cosine = -float(self._lip(self.used)[1][:, 2] @ up)
+        return math.acos(min(max(cosine, -1.0), 1.0))
+
+    def _slip(self, share: float, tilts: bool = False) -> None:
+        """Let the block slip along its face, and turn on it, by a share of what it is off; or tilt
+        alone."""
         m, d = self.model, self.data
         number = self.held or 0
         body, values = self.world.first + number, m.eq_data[self._weld]
         turn, (point, tool) = d.xmat[body].reshape(3, 3), self._lip(self.used)
         off = point - (d.xpos[body] + turn @ values[:3])
         off -= tool[:, 2] * (tool[:, 2] @ off)
-        values[:3] += share * (turn.T @ off)
+        if not tilts:
+            values[:3] += share * (turn.T @ off)
         now, error, angle = np.empty(4), np.empty(4), np.empty(3)
         mujoco.mju_negQuat(error, d.xquat[self._hand])
         mujoco.mju_mulQuat(now, error, d.xquat[body])
@@ -230,6 +251,19 @@ class Vacuum:
         mujoco.mju_mulQuat(error, now, error.copy())
         mujoco.mju_quat2Vel(angle, error, 1.0)
         axis = rotation_matrix(m.site_quat[self.parts.tool]) @ np.array(self.used.lip.axis)
-        mujoco.mju_axisAngle2Quat(error, axis, share * float(axis @ angle))
+        about = axis * float(axis @ angle)
+        about = share * (angle - about if tilts else about)
+        size = float(np.linalg.norm(about))
+        mujoco.mju_axisAngle2Quat(error, about / size if size > 0 else axis, size)
         mujoco.mju_mulQuat(now, error, values[6:10].copy())
         values[6:10] = now
+
+
+def _on_stud(corners: np.ndarray, normal: np.ndarray, point: np.ndarray, socket: Cup) -> bool:
+    """Whether a socket at a point of a face of a brick is over one of its studs; all float64 in the
+    frame of the brick."""
+    if normal[2] < 1 - 1e-6:
+        return False
+    low, high = corners.min(0)[:2], corners.max(0)[:2]
+    apart = np.linalg.norm(stud_axes(low, high, socket.studs) - point[:2], axis=1)
+    return bool(apart.min() <= socket.capture)

@@ -371,7 +371,8 @@ class Execution:
         self.closed = True
         report = self.wait(seconds + GRIP_TIME, "pick", CLOSING, (told,))
         if report.stop != Stop.HELD:
-            detail, felt = f"the cup does not close on {name}", report.tool
+            what = "socket" if arm.suction is not None and arm.suction.studs else "cup"
+            detail, felt = f"the {what} does not close on {name}", report.tool
             if felt.width is not None:
                 grip, width = felt.grip or 0.0, 1e3 * felt.width
                 detail = f"the fingers press with {grip:.1f} N at {width:.0f} mm"

@@ -94,7 +94,8 @@ _CUP_REF, _CUP_IMP = (0.01, 1.0), (0.95, 0.99, 0.001, 0.5, 2.0)
 """The bellows give way a little: 0.05 mm under the weight of what hangs from them."""
 
 _STUD_REF, _STUD_IMP = (0.004, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""Of joints of studs: 20 N shift them by less than a hundredth of a millimetre."""
+"""Of joints of studs, and of a socket on one: 20 N shift them by less than a hundredth of a
+millimetre."""
 
 Box = (
     tuple[tuple[float, ...], ...]
@@ -404,6 +405,7 @@ def compile_world(
         if arm.suction is None:
             continue
         # The block in the cup: which one, where, and whether, is said when it is attached.
+        firm = arm.suction.studs > 0
         weld = spec.add_equality(
             name=f"{prefix_of(number)}cup",
             type=mujoco.mjtEq.mjEQ_WELD,
@@ -411,8 +413,8 @@ def compile_world(
             name1=f"{prefix_of(number)}{arm.gripper.hand}",
             name2="object0" if shape else "",
             active=False,
-            solref=_CUP_REF,
-            solimp=_CUP_IMP,
+            solref=_STUD_REF if firm else _CUP_REF,
+            solimp=_STUD_IMP if firm else _CUP_IMP,
         )
         weld.data[:] = 0.0
     num_welds = num_welds if shape else 0

@@ -108,10 +108,10 @@ _CARRYING = ("lift", "cross", "place")
 
 
 SUCTION_WORDS = {
-    "pick": ("goes down and sucks {block} to the cup", "goes down to {block}"),
-    "release": ("lets the vacuum go", "lets the vacuum go"),
+    "pick": ("goes down and takes hold of {block}", "goes down to {block}"),
+    "release": ("lets go", "lets go"),
 }
-"""Where a cup does otherwise than fingers."""
+"""Where a cup or a socket does otherwise than fingers."""
 
 
 def stage_words(step: StepRecord, stage: Stage, block: str, suction: bool = False) -> str:
