@@ -28,7 +28,7 @@ from learn2assemble.cell.pair import Pair, gather
 from learn2assemble.cell.site import Obstacle, Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import set_up_team
-from learn2assemble.cell.telling import halted, tell
+from learn2assemble.cell.telling import SharedJournal, halted, tell
 from learn2assemble.cell.together import Together
 from learn2assemble.cell.traffic import APART, PLANNED, ArmInTraffic, Leg, Route, Traffic
 from learn2assemble.cell.workcell import Workcell, job_of
@@ -39,6 +39,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.export.ros2 import names_of_two
 from learn2assemble.motion.attempts import merged
 from learn2assemble.motion.driver import arm_of
+from learn2assemble.motion.files import read_record
 from learn2assemble.motion.plant import (
     Guard,
     Motion,
@@ -49,6 +50,7 @@ from learn2assemble.motion.plant import (
     standing,
 )
 from learn2assemble.motion.program import Program, make_program, motions
+from learn2assemble.motion.record import find_fault
 from learn2assemble.motion.waits import APART as KEPT
 from learn2assemble.motion.waits import held_by, on_one_clock, with_waits
 from learn2assemble.planning.given import plan_assembly
@@ -457,6 +459,42 @@ def test_the_command_builds_with_two_arms(built: tuple[Path, dict[str, Any]]) ->
     files = {path.name for path in folder.iterdir()}
     assert {"trajectory-1.json", "trajectory-2.json", "trajectory-2.csv"} <= files
     assert "trajectory.json" not in files
+
+
+class Killed(BaseException):
+    """The end of a process."""
+
+
+def test_a_build_that_was_killed_goes_on_and_its_records_are_sound(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever the other arm was in the middle of: its record does not jump to there, so it is a
+    program of a robot."""
+    append, left = SharedJournal.append, [3.0]
+
+    def appended(*given: Any) -> None:
+        if left[0] <= 0:
+            raise Killed
+        append(*given)
+        left[0] -= 1
+        if left[0] <= 0:
+            raise Killed
+
+    def build() -> int:
+        out = ("--no-video", "--out", str(tmp_path / "out"))
+        more = ("--resume",) if left[0] > 3 else ()
+        arms = ("--arm", "panda", "--arm", "ur5e")
+        return main(["build", "examples/designs/pyramid.json", *arms, *out, *more])
+
+    monkeypatch.setattr(SharedJournal, "append", appended)
+    with pytest.raises(Killed):
+        build()
+    left[0] = np.inf
+    assert build() == 0
+    for number in (1, 2):
+        record = read_record(tmp_path / "out" / f"trajectory-{number}.json")
+        assert find_fault(record) is None
+    assert Plan.load(tmp_path / "out").complete
 
 
 def test_attempts_of_both_are_one_sequence(built: tuple[Path, dict[str, Any]]) -> None:

@@ -104,6 +104,13 @@ def _array(value: list[Any]) -> np.ndarray:
     return np.frombuffer(data, float).reshape(value[0]).copy()
 
 
+def last_joints(step: dict[str, Any] | None) -> np.ndarray | None:
+    """float64[n]: where an arm was at the end of a step of a file [rad]; None where it did not
+    move."""
+    joints = np.empty((0, 0)) if step is None else _array(step["samples"]["joints"])
+    return joints[-1].copy() if len(joints) else None
+
+
 def _unpacked(value: dict[str, Any]) -> StepRecord:
     samples = Samples(**{name: _array(array) for name, array in value["samples"].items()})
     arrays = {name: _array(value[name]) for name in ("target", "before", "after")}

@@ -5,7 +5,7 @@ every attempt of either.
 Every line of that is all that both know then, with what the one that has ended its attempt did. The
 other one may be in the middle of its own: where the build is gone on with, that never happened.
 What it had in its hand has been taken out of it, what a magazine had presented goes back there, and
-both arms stand where they stood.
+in a simulation it stands again where its last attempt has ended.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from learn2assemble.cell.building import Building
-from learn2assemble.cell.journal import append_state, packed, read_states
+from learn2assemble.cell.journal import append_state, last_joints, packed, read_states
 from learn2assemble.cell.state import Done
-from learn2assemble.cell.traffic import Leg, Route
+from learn2assemble.cell.traffic import APART, Leg, Route
 from learn2assemble.cell.world import STANDING, STOCK
 from learn2assemble.motion.plant import Plant, Readings
+from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.capsules import WIDEST, capsules_of, in_hand, solid_capsules
-from learn2assemble.robot.sweeps import still, sweep
+from learn2assemble.robot.sweeps import clear, still, sweep
 from learn2assemble.simulation.execution import Execution
 from learn2assemble.simulation.model import Order, part_of
 
@@ -215,16 +216,37 @@ class SharedJournal(NamedTuple):
             state["plant"] = plant.state()
         append_state(self.path, state)
 
-    def read(self, plant: Any) -> list[dict[str, Any]]:
-        """What the file says, oldest first; a simulation is as it was then.
+    def read(self, plant: Any, arms: Sequence[Arm]) -> list[dict[str, Any]]:
+        """What the file says, oldest first; a simulation is as it was then, its arms at rest.
 
         Raises:
             InputError: for a file of another build, a damaged one, and one that cannot be written.
         """
         states = read_states(self.path, self.key)
         if states and "plant" in states[-1]:
-            plant.restore(states[-1]["plant"])
+            plant.restore(_at_rest(states, arms))
         return states
+
+
+def _at_rest(states: list[dict[str, Any]], arms: Sequence[Arm]) -> dict[str, Any]:
+    """The last state of a simulation, where arms that were in the middle of an attempt stand where
+    their records end, as far as they are clear of each other there: a record does not jump.
+
+    Args:
+        states: that a file has, oldest first.
+        arms: of the cell, two.
+    """
+    plant = states[-1]["plant"]
+    now = [(plant["joints"], plant["width"]), *plant["others"]]
+    ends = [np.array(joints) for joints, _ in now]
+    for state in states:
+        joints = last_joints(state.get("record"))
+        ends[state["arm"]] = ends[state["arm"]] if joints is None else joints
+    one, other = (sweep(a, capsules_of(a), q[None]) for a, q in zip(arms, ends, strict=True))
+    if not clear(one, other, APART):
+        return plant
+    told = [[q.tolist(), width] for q, (_, width) in zip(ends, now, strict=True)]
+    return {**plant, "joints": told[0][0], "others": told[1:]}
 
 
 def take_up(states: list[dict[str, Any]], buildings: tuple[Building, ...]) -> list[Turn]:

@@ -133,7 +133,9 @@ class Together(Generic[Cell]):
         structure = crew.found[0].structure
         setup = setup_of(own, crew.workcells[0], structure)._replace(others=(second,))
         self.plant, self.traffic = opened(setup), Traffic((first, second))
-        self.journal, kept = journal, [] if journal is None else journal.read(self.plant)
+        self.journal, kept = journal, list[dict[str, Any]]()
+        if journal is not None:
+            kept = journal.read(self.plant, (first, second))
         mine, other = (through(*one) for one in enumerate(self.plant.plants))
         self.arms: tuple[ArmInTraffic, ArmInTraffic] = (
             ArmInTraffic(mine, self.traffic, 0, other),
