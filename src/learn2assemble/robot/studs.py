@@ -17,13 +17,10 @@ def stud_axes(low: np.ndarray, high: np.ndarray, pitch: float) -> np.ndarray:
     Args:
         pitch: distance of studs [m].
     """
-    counts = np.maximum(np.rint((high - low) / pitch), 1).astype(int)
-    axes: list[np.ndarray] = []
-    middles: list[float] = ((high + low) / 2).tolist()
-    for middle, count in zip(middles, counts.tolist(), strict=True):
-        axes.append(middle + pitch * (np.arange(count) - (count - 1) / 2))
-    x, y = axes
-    return np.column_stack([np.repeat(x, len(y)), np.tile(y, len(x))])
+    counts = np.maximum(np.rint((high - low) / pitch), 1)
+    first = (high + low) / 2 - pitch * (counts - 1) / 2
+    columns, rows = counts.astype(int).tolist()
+    return first + pitch * np.stack(np.divmod(np.arange(columns * rows), rows), 1)
 
 
 class StudJoint(NamedTuple):
