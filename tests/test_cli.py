@@ -231,7 +231,15 @@ def test_resume_of_a_finished_build_is_complete(
     assert fingerprint(folder) == before
     other = l2a(*words, "--arm", "ur5e")
     assert other.code == 2
-    assert "build.jsonl or a complete plan" in other.err
+    said = f"got 'a plan for {arm or 'no arm'}', expected the folder of a build by ur5e"
+    assert said in other.err
+    words[1] = DESIGNS / "pyramid.json"
+    other = l2a(*words, *(["--arm", arm] if arm else []))
+    assert other.code == 2
+    assert "got 'a plan of stepped_tower.json', expected the folder of a build of pyr" in other.err
+    words[1] = DESIGNS / "nonexistent.svg"
+    assert "nonexistent.svg" in l2a(*words).err
+    words[1] = DESIGNS / "stepped_tower.json"
     plan["status"] = "incomplete"
     (folder / "plan.json").write_text(json.dumps(plan), "utf-8")
     assert l2a(*words).code == 2

@@ -218,9 +218,18 @@ def _resume_finished(options: argparse.Namespace, output: Output) -> int:
         raise refused
     plan = Plan.load(options.out)
     arms = [arm.arm for arm in plan.arms] or ([] if plan.arm is None else [plan.arm.name])
-    own = options.arm is None and is_task(options.design)  # The arm of the task.
-    if not plan.complete or not (own or (options.arm or []) == arms):
+    task = is_task(options.design)
+    if not task:
+        check_exists(Path(options.design), "design")
+    given = options.design if task else Path(options.design).name
+    made = Path(plan.design.source).name or plan.design.name
+    if given not in (made, plan.design.name):
+        raise InputError("--resume", f"a plan of {made}", f"the folder of a build of {given}")
+    if not plan.complete:
         raise refused
+    if not (task and options.arm is None) and (options.arm or []) != arms:
+        built, asked_for = (" and ".join(names) or "no arm" for names in (arms, options.arm or []))
+        raise InputError("--resume", f"a plan for {built}", f"the folder of a build by {asked_for}")
     output.say(f"{plan.design.name}: {plan.status} already, {plan.blocks.used} blocks; {file}")
     output.finish({**_summary(plan), "files": {"plan": str(file)}})
     return 0

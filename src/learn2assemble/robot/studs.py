@@ -19,8 +19,9 @@ def stud_axes(low: np.ndarray, high: np.ndarray, pitch: float) -> np.ndarray:
     """
     counts = np.maximum(np.rint((high - low) / pitch), 1)
     first = (high + low) / 2 - pitch * (counts - 1) / 2
-    columns, rows = counts.astype(int).tolist()
-    return first + pitch * np.stack(np.divmod(np.arange(columns * rows), rows), 1)
+    rows = int(counts[1])
+    number = np.arange(int(counts[0]) * rows)
+    return first + pitch * np.stack([number // rows, number % rows], 1)
 
 
 class StudJoint(NamedTuple):
