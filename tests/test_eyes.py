@@ -393,6 +393,11 @@ def test_cameras_that_show_nothing_end_a_build_in_one_line(tmp_path: Path) -> No
     plan = built(layout=layout(tmp_path, blind))
     assert plan.status == "incomplete"
     assert plan.reason == "plant lost: nothing is seen by the cameras of the layout: right, left"
+    # Nothing stands, so nothing is shown to.
+    assert (plan.blocks.used, plan.steps, plan.as_planned) == (0, (), True)
+    assert plan.assembly is not None
+    assert plan.not_placed == len(plan.assembly.blocks)
+    assert not plan.assembly.steps
     ran = l2a.run(planned(), layout=layout(tmp_path, blind))
     assert (ran.stop, ran.blocks) == (Stop.LOST, 0)
     away = [{**CAMERAS[0], "look_at": [3.0, 3.0, 0.0]}]

@@ -312,6 +312,8 @@ def test_what_the_arm_refuses_is_not_said_to_be_impossible(
         arms=(BuilderArm("panda", "panda", "suction", (0.0, -0.5, 0.0, 0.0), 10),),
     )
     found = len(plan.assembly.blocks)
+    some = replace(refused, status="incomplete", steps=plan.steps[:3])
+    assert (some.as_planned, some.not_placed, plan.as_planned) == (True, 0, False)
     assert refused.not_placed == found
     print_plan(Output(False), refused, {})
     told = capsys.readouterr().out

@@ -26,7 +26,7 @@ from learn2assemble.linear_programs import Clock
 from learn2assemble.motion.plant import Plant, PlantError
 from learn2assemble.motion.setup import BlockKind, Setup, open_plant
 from learn2assemble.planning.brick_plan import with_hands
-from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.plan import Plan, Status
 from learn2assemble.progress import Detail
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
@@ -132,7 +132,7 @@ def carry_out(
     try:
         building = Building(found, workcell, seen, words, key_of(plan, workcell), kept, witness)
     except PlantError as error:
-        return replace(plan, status="incomplete", reason=str(error), steps=(), coverage=0.0)
+        return _none_placed(plan, job, workcell, "incomplete", str(error))
     reason = building.run(progress)
     took = time.perf_counter() - started
     return carried_out(plan, [Worked(building, workcell, witness)], reason, took, plant)
@@ -153,10 +153,17 @@ def _refused(plan: Plan, found: Prepared, workcell: Workcell, advice: str) -> Pl
     )
     which = f"{blocks[0]}: " if blocks[1:] else ""
     reason = f"the arm cannot {what} {listed}: {which}{why}"
+    reason = f"{reason}; {advice}" if advice else reason
+    return _none_placed(plan, job, workcell, "refused", reason)
+
+
+def _none_placed(plan: Plan, job: Job, workcell: Workcell, status: Status, reason: str) -> Plan:
+    """What comes of a plan of which the arm has placed nothing."""
+    assert plan.assembly is not None
     return replace(
         plan,
-        status="refused",
-        reason=f"{reason}; {advice}" if advice else reason,
+        status=status,
+        reason=reason,
         steps=(),
         coverage=0.0,
         arm=arm_report(job, workcell, None),

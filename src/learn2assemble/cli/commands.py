@@ -369,7 +369,7 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path], compiled: fl
     if plan.cells:
         cells, design = plan.cells, plan.design
         other = cells.other_colour
-        planned = "cells, as planned" if plan.not_placed else "cells"
+        planned = "cells, as planned" if plan.as_planned else "cells"
         output.paragraph(
             f"{planned}: {cells.wanted} wanted, {cells.missing} open, "
             f"{cells.outside} outside{shape}"

@@ -331,11 +331,18 @@ class Plan:
 
     @property
     def not_placed(self) -> int:
-        """Blocks that were found and stand, but of which the arm cannot place all: none is."""
-        if self.steps or self.status != "refused" or not (self.arm or self.arms):
+        """Blocks that were found and stand, but of which the arm has placed none: it cannot place
+        all of them, or was stopped before."""
+        if self.steps or self.complete or not (self.arm or self.arms):
             return 0
         blocks = self.assembly.blocks if self.assembly else ()
         return sum(not (block.prop or block.support) for block in blocks)
+
+    @property
+    def as_planned(self) -> bool:
+        """Whether :attr:`cells` are those of all blocks that were found, of which the arm has not
+        placed all."""
+        return not self.complete and bool(self.arm or self.arms)
 
     @property
     def proven_for(self) -> dict[str, str]:

@@ -383,7 +383,7 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
         words = f"{cells.wanted} wanted, {cells.missing} open, {cells.outside} outside"
         if cells.other_colour is not None:
             words += f", {cells.other_colour} in a block of another colour"
-        facts.append(("cells, as planned" if plan.not_placed else "cells", words))
+        facts.append(("cells, as planned" if plan.as_planned else "cells", words))
     if plan.design.iou is not None:
         facts.append(("drawing and cells in common", f"{plan.design.iou:.1%}"))
     facts.append(("warning", plan.design.not_read))
