@@ -332,6 +332,17 @@ def test_the_command_runs_two_arms_in_the_simulation(
     assert "one for each arm of the plan: ur5e, panda" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("option", [["--step"], ["--until", "2"]])
+def test_a_run_that_cannot_be_gone_on_with_is_not_paused(
+    option: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = pair_plan(12, 2)
+    held = replace(plan, steps=(*plan.steps[:1], replace(plan.steps[1], by_hand=True)))
+    held.save(tmp_path, page=False)
+    assert main(["run", str(tmp_path), *option]) == 2
+    assert "so such a run cannot be gone on with" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("stage", ["cross", "retreat"])
 def test_where_one_controller_is_lost_the_other_arm_goes_on(stage: str, tmp_path: Path) -> None:
     two, state = Two(pair_plan()), tmp_path / "run.jsonl"

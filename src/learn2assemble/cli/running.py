@@ -59,6 +59,7 @@ def _run(options: argparse.Namespace, output: Output) -> int:
     from learn2assemble.cell.site import Site, read_site
     from learn2assemble.jobs.run import SIMULATION, run
     from learn2assemble.motion.setup import Surroundings
+    from learn2assemble.planning.plan import load_plan
 
     if options.step and options.until is not None:
         raise InputError("--step", f"with --until {options.until}", "one of the two")
@@ -69,6 +70,12 @@ def _run(options: argparse.Namespace, output: Output) -> int:
         expected = "a run to --resume" if options.resume else "--resume, or that file away"
         raise InputError("--resume", got, expected)
     site = Site() if options.layout is None else read_site(options.layout)
+    plan = load_plan(options.plan)
+    for option in ("step", "until"):
+        if getattr(options, option) and len(plan.arms) > 1 and plan.by_turns:
+            expected = "none where arms hold blocks, or posts are set by hand between two arms: "
+            expected += "what was in a hand would be gone, so such a run cannot be gone on with"
+            raise InputError(f"--{option}", getattr(options, option), expected)
 
     def confirm(done: int, what: str) -> bool:
         if options.until is not None:
@@ -80,7 +87,7 @@ def _run(options: argparse.Namespace, output: Output) -> int:
     )
     robots = options.robot or [SIMULATION]
     ran = run(
-        options.plan,
+        plan,
         robots,
         layout=site,
         state=state,
