@@ -24,7 +24,7 @@ from l2a_lab.builds import EXAMPLES, PLAN_SECONDS, READINGS, SMALL_FIRST, STRUCT
 from l2a_lab.measured import Figures, Result
 from l2a_lab.shapes import SHAPES, wall
 from l2a_lab.stopped_arm import APART, Job, drawn, stopped
-from l2a_lab.two_arms_bricks import ARM, BOTH, BRICKS
+from l2a_lab.two_arms_bricks import BOTH, BRICKS, WHO
 from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
 from learn2assemble.cell.carry_out import carry_out
 from learn2assemble.cell.crew import Member
@@ -139,7 +139,7 @@ def names() -> list[str]:
         for what in designs
         for who in (*ARMS, BOTH)
     ]
-    built += [f"bricks/{what}/{who}" for what in BRICKS for who in (ARM, BOTH)]
+    built += [f"bricks/{what}/{who}" for what in BRICKS for who in WHO]
     built += [f"holds/{what}/{number}" for what in HELD for number in range(HELD[what].builds)]
     built += [f"noise/{next(iter(HELD))}/{number}" for number in range(NOISY)]
     return [*built, *(f"stopped/{STOPPED}/{number}" for number in range(STOPS))]

@@ -22,6 +22,7 @@ from l2a_lab.measured import Result
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.bricks.files import of_stablelego
 from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
+from learn2assemble.assembly.instruction_words import count_words
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.pair import bricks_by_team, gather
 from learn2assemble.cell.site import Site
@@ -32,6 +33,9 @@ from learn2assemble.cell.workcell import Workcell
 
 RECORDED = Path("tests/data/clutch_designs.jsonl.gz")
 ARM, TOOL, BOTH = "panda", "gripper", "both"
+TOOLS = TOOL, "socket"
+WHO = tuple(f"{who}{'' if tool == TOOL else f', {tool}'}" for tool in TOOLS for who in (ARM, BOTH))
+"""Who builds, and with what: fingers where nothing is said."""
 TASKS = tuple(f"apex_{name}" for name in ("R", "fish_high", "cliff", "bridge", "rss", "vessel"))
 """Of APEX-MR (Huang et al., RSS 2025)."""
 WALL, LENGTH, LAYERS = "wall of bricks", 28, 6
@@ -47,12 +51,13 @@ def entry(what: str, who: str) -> Result:
 
     Args:
         what: one of :data:`BRICKS`.
-        who: :data:`ARM` or :data:`BOTH`.
+        who: one of :data:`WHO`.
     """
     started, bricks = time.process_time(), _bricks(what)
+    who, _, tool = who.partition(", ")
     if who == BOTH:
-        return _together(bricks, started)
-    done = l2a.build(bricks, arm=ARM)
+        return _together(bricks, tool or TOOL, started)
+    done = l2a.build(bricks, arm=ARM, tool=tool or TOOL)
     told: Result = {}
     if done.arm is not None:
         told = {"robot_s": done.arm.seconds, "attempts": done.arm.attempts}
@@ -60,9 +65,9 @@ def entry(what: str, who: str) -> Result:
     return {**said, **told, "building_s": round(time.process_time() - started, 2)}
 
 
-def _together(bricks: Assembly, started: float) -> Result:
-    members = set_up_team(bricks, [SiteArm(n, ARM, TOOL) for n in ("one", "two")], Site())
-    workcell = Workcell(ARM, TOOL, hands=True)
+def _together(bricks: Assembly, tool: str, started: float) -> Result:
+    members = set_up_team(bricks, [SiteArm(n, ARM, tool) for n in ("one", "two")], Site())
+    workcell = Workcell(ARM, tool, hands=True)
     plan, order = bricks_by_team(bricks, members, workcell)
     planned = round(time.process_time() - started, 2)
     if not plan.complete:
@@ -109,58 +114,66 @@ def wall(length: int, layers: int) -> Assembly:
     return assembly_of(BrickModel(tuple(made)), load_kit("lego"), WALL)
 
 
-def share(entries: dict[str, Result], what: str) -> float | None:
+def _of(entries: dict[str, Result], what: str, who: str, tool: str) -> Result:
+    """What was measured; empty where nothing was."""
+    return entries.get(f"bricks/{what}/{who}{'' if tool == TOOL else f', {tool}'}", {})
+
+
+def share(entries: dict[str, Result], what: str, tool: str = TOOL) -> float | None:
     """What both took of what they would have one after the other; None where they did not."""
-    both = entries.get(f"bricks/{what}/{BOTH}", {})
+    both = _of(entries, what, BOTH, tool)
     return both["robot_s"] / both["in_turn_s"] if both.get("status") == "complete" else None
 
 
 def table(entries: dict[str, Result]) -> str:
     """What was reached, in Markdown, as far as it was measured, with the mean of the tasks."""
     lines = [
-        "| bricks | bricks | two arms [s] | one after the other [s] | ratio | one arm [s] "
+        "| bricks | tool | bricks | two arms [s] | one after the other [s] | ratio | one arm [s] "
         "| least distance [mm] |",
-        "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
+        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
-    for what in BRICKS:
-        both, one = (entries.get(f"bricks/{what}/{who}", {}) for who in (BOTH, ARM))
-        if not both:
-            continue
-        part = share(entries, what)
-        told = [both["status"], "", ""]
-        if part is not None:
-            told = [f"{both['robot_s']:.1f}", f"{both['in_turn_s']:.1f}", f"{part:.2f}"]
-        alone = f"{one['robot_s']:.1f}" if one.get("status") == "complete" else one.get("status")
-        apart = f"{1e3 * both['least_distance']:.1f}" if part is not None else ""
-        cells = [what, str(both.get("blocks", "")), *told, alone or "", apart]
-        lines.append(f"| {' | '.join(cells)} |")
-    found = _shares(entries)
-    if found:
-        words = f"mean of {len(found)} tasks of APEX-MR"
-        lines.append(f"| {words} | | | | {np.mean(found):.2f} | | |")
+    for tool in TOOLS:
+        for what in BRICKS:
+            both, one = (_of(entries, what, who, tool) for who in (BOTH, ARM))
+            if not both:
+                continue
+            part = share(entries, what, tool)
+            told = [both["status"], "", ""]
+            if part is not None:
+                told = [f"{both['robot_s']:.1f}", f"{both['in_turn_s']:.1f}", f"{part:.2f}"]
+            alone = one.get("status", "")
+            alone = f"{one['robot_s']:.1f}" if alone == "complete" else alone
+            apart = f"{1e3 * both['least_distance']:.1f}" if part is not None else ""
+            cells = [what, tool, str(both.get("blocks", "")), *told, alone, apart]
+            lines.append(f"| {' | '.join(cells)} |")
+        if found := _shares(entries, tool):
+            words = f"mean of {count_words(len(found), 'task')} of APEX-MR"
+            lines.append(f"| {words} | {tool} | | | | {np.mean(found):.2f} | | |")
     return "\n".join(lines)
 
 
-def _shares(entries: dict[str, Result]) -> list[float]:
+def _shares(entries: dict[str, Result], tool: str) -> list[float]:
     """Of the tasks that were built."""
-    return [part for part in (share(entries, what) for what in TASKS) if part is not None]
+    return [part for what in TASKS if (part := share(entries, what, tool)) is not None]
 
 
 def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
     """What was asked, and what was reached: (what, asked, got)."""
     rows: list[tuple[str, str, str]] = []
-    for what in BRICKS:
-        both = entries.get(f"bricks/{what}/{BOTH}")
-        if both is None:
-            continue
-        part = share(entries, what)
-        got = f"{both['status']} ({both['reason']})"
-        if part is not None:
-            got = f"{both['blocks']} bricks: {both['robot_s']:.1f} s over {both['in_turn_s']:.1f} "
-            got += f"s one after the other, {part:.2f}, "
-            got += f"{1e3 * both['least_distance']:.1f} mm apart at least"
-        rows.append((what, "complete, >= 10 mm apart", got))
-    if found := _shares(entries):
-        got = f"{np.mean(found):.2f} mean of {len(found)}"
-        rows.append(("APEX-MR, at once over one after the other", f"<= {ASKED} mean", got))
+    for tool in TOOLS:
+        for what in BRICKS:
+            both = _of(entries, what, BOTH, tool)
+            if not both:
+                continue
+            part = share(entries, what, tool)
+            got = f"{both['status']} ({both['reason']})"
+            if part is not None:
+                got = f"{both['blocks']} bricks: {both['robot_s']:.1f} s over "
+                got += f"{both['in_turn_s']:.1f} s one after the other, {part:.2f}, "
+                got += f"{1e3 * both['least_distance']:.1f} mm apart at least"
+            rows.append((f"{what}, {tool}", "complete, >= 10 mm apart", got))
+        if found := _shares(entries, tool):
+            got = f"{np.mean(found):.2f} mean of {len(found)}"
+            asked = f"<= {ASKED} mean"
+            rows.append((f"APEX-MR, {tool}, at once over one after the other", asked, got))
     return rows
