@@ -34,12 +34,15 @@ from learn2assemble.cell.world import STANDING, WorkcellBlocks, rows_of
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.export.robot_programs import export_program
-from learn2assemble.motion.record import find_fault
+from learn2assemble.motion.record import RATE, find_fault
+from learn2assemble.motion.safety import Box, Safety
 from learn2assemble.motion.setup import Disturbance
 from learn2assemble.planning.plan import LARGEST, Plan
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.planning.tiling.ordering import polycube
+from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
+from learn2assemble.robot.kinematics import forward_many, get_chain
 from learn2assemble.statics.proofs import LOCAL, PROGRAM
 from learn2assemble.statics.rigid_blocks import margin, solve
 
@@ -389,6 +392,25 @@ def test_a_magazine_that_runs_empty_pauses_the_build(window: Plan, tmp_path: Pat
     stands_where_it_should(whole)
     assert whole.arm is not None
     assert whole.arm.attempts == len(window.steps)
+
+
+def test_a_build_keeps_the_rules_of_its_layout(tmp_path: Path) -> None:
+    plan = planned(np.ones((2, 1, 1), bool), dataclasses.replace(KIT, kinds=(KIT.kind("1x2"),)))
+    low = Site(safety=Safety(box=Box((-2.0, -2.0, 0.3), (2.0, 2.0, 2.0))))
+    log = tmp_path / "build.jsonl"
+    stopped = carry_out(plan, quick(site=low, log=log))
+    assert stopped.status == "incomplete"
+    assert "outside the layout's safety.box" in (stopped.reason or "")
+    # When the rule is another one it goes on, slowly.
+    slow = Site(safety=Safety(speed=0.1))
+    stands_where_it_should(carry_out(plan, quick(site=slow, log=log)))
+    done = carry_out(plan, Workcell("panda", "suction", site=slow))
+    stands_where_it_should(done)
+    assert done.record is not None
+    joints = done.record.joined()[0].joints
+    tool = forward_many(get_chain(get_arm("panda", "suction")), np.ascontiguousarray(joints))[0]
+    speed = np.linalg.norm(np.diff(tool, axis=0), axis=1) * RATE
+    assert 0.05 < speed.max() < 0.101
 
 
 @pytest.mark.parametrize(

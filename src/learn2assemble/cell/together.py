@@ -109,7 +109,8 @@ class Together(Generic[Cell]):
         opened: opens the cell that is described, with the plants of both arms; of a simulation
             :class:`~learn2assemble.simulation.plant.DynamicPlant`.
         journal: what is kept of it; where there is something, the build goes on from that.
-        through: by number and plant of an arm, what that is driven through; by default itself.
+        through: by number and plant of an arm, what that is driven through; by default what keeps
+            the rules of the layout.
 
     Raises:
         InputError: for a journal of another build, or one that cannot be used.
@@ -125,7 +126,7 @@ class Together(Generic[Cell]):
         crew: Pair,
         opened: Callable[[Setup], Cell],
         journal: SharedJournal | None = None,
-        through: Callable[[int, Plant], Plant] = lambda who, plant: plant,
+        through: Callable[[int, Plant], Plant] | None = None,
     ) -> None:
         first, second = (one.job.arm for one in crew.found)
         job = crew.found[0].job
@@ -134,6 +135,7 @@ class Together(Generic[Cell]):
         setup = setup_of(own, crew.workcells[0], structure)._replace(others=(second,))
         self.plant, self.traffic = opened(setup), Traffic((first, second))
         self.journal, kept = journal, [] if journal is None else journal.read(self.plant)
+        through = through or crew.guarded
         mine, other = (through(*one) for one in enumerate(self.plant.plants))
         self.arms: tuple[ArmInTraffic, ArmInTraffic] = (
             ArmInTraffic(mine, self.traffic, 0, other),
