@@ -32,6 +32,7 @@ from learn2assemble.cell.state import Choice, area
 from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.world import STANDING, WorkcellBlocks, rows_of
 from learn2assemble.design.cells import CellDesign
+from learn2assemble.design.solids import mesh_boxes, read_mesh
 from learn2assemble.errors import InputError
 from learn2assemble.export.robot_programs import export_program
 from learn2assemble.motion.record import RATE, find_fault
@@ -632,10 +633,21 @@ def test_boxes_cover_a_mesh_and_leave_its_opening_free(tmp_path: Path) -> None:
     assert inside(free).mean() < 0.2
 
 
+@pytest.mark.parametrize("unit", [0.001, 0.0003, 0.01])
+def test_boxes_of_a_mesh_with_faces_in_the_planes_of_cuts_have_volume(unit: float) -> None:
+    dome = ROOT / "examples" / "designs" / "dome.stl"
+    boxes = mesh_boxes(dome, unit, "mesh")
+    sizes = np.array([high - low for low, high in boxes])
+    assert (sizes.min(1) > 1e-3 * sizes.max()).all()
+    whole = np.array(boxes).reshape(-1, 3)
+    size = np.ptp(read_mesh(dome.read_bytes(), "stl", "dome").triangles.reshape(-1, 3), axis=0)
+    assert np.allclose(np.ptp(whole, axis=0), unit * size)
+
+
 @pytest.mark.parametrize(
     ("entry", "words"),
     [
-        ({"mesh": "none.stl"}, "no such file"),
+        ({"mesh": "none.stl"}, r"none.stl: got 'no such file', expected a mesh \(.*obstacles"),
         ({"mesh": "open.stl"}, "closed mesh"),
         ({"mesh": "text.stl"}, "text.stl"),
         ({"mesh": "gate.step"}, "a file in stl, obj, ply, glb, 3dm"),
