@@ -457,6 +457,7 @@ def test_a_build_keeps_the_rules_of_its_layout(tmp_path: Path) -> None:
         ({"version": 3}, "version: got 3, expected 2"),
         ({"version": 1, "positions": []}, "version: got 1, expected 2"),
         ({"positions": [[0.2, -0.3]]}, "positions[0]"),
+        ({"table": [0.3, 0.5]}, "layout.json: table: got '"),
     ],
 )
 def test_layouts_that_cannot_be_used(tmp_path: Path, fields: dict[str, object], what: str) -> None:
