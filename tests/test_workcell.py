@@ -457,6 +457,10 @@ def test_a_build_keeps_the_rules_of_its_layout(tmp_path: Path) -> None:
         ({"version": 3}, "version: got 3, expected 2"),
         ({"version": 1, "positions": []}, "version: got 1, expected 2"),
         ({"positions": [[0.2, -0.3]]}, "positions[0]"),
+        (
+            {"positions": [{"kind": "1x4", "at": [0.2, -0.3]}]},
+            "pallets and positions: got '1 of 2 1x4', expected places for all blocks of a kind",
+        ),
         ({"table": [0.3, 0.5]}, "layout.json: table: got '"),
     ],
 )
