@@ -340,6 +340,8 @@ def test_an_interrupted_build_goes_on_to_the_same_end(window: Plan, tmp_path: Pa
     other = quick(noise=(5e-4, 0.002), log=log, seed=5)
     with pytest.raises(InputError, match="the same design"):
         carry_out(window, other)
+    with pytest.raises(InputError, match="layout, seed, physics and noise as before"):
+        carry_out(window, quick(noise=(0.0, 0.0), log=log))
 
 
 # ---------------------------------------------------------------- the workcell of a user
