@@ -338,6 +338,18 @@ def test_a_urdf_that_is_no_arm_is_refused_in_one_line(
     assert not (tmp_path / "arms" / "six").exists()
 
 
+@pytest.mark.parametrize(
+    ("name", "words"), [("panda", "a folder whose name no other arm has"), ("my arm", "letters")]
+)
+def test_an_arm_that_commands_would_not_know_is_not_made(
+    name: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = urdf(tmp_path / "six.urdf")
+    assert main(["add-arm", str(file), "--out", str(tmp_path / "arms" / name)]) == 2
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "arms").exists()
+
+
 def test_a_payload_that_cannot_be_leaves_no_arm(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="payload"):
         arm_from_urdf(urdf(tmp_path / "six.urdf"), tmp_path / "six", payload=-1.0)
@@ -369,6 +381,12 @@ def test_arms_in_the_folder_of_the_environment_are_known(
     monkeypatch.setenv(PLACE, str(tmp_path / "arms"))
     register_arm(table)
     assert dict(table) == {"six": (tmp_path / "arms" / "six" / "arm.toml").resolve()}
+    # A name that is taken: of which folder, and who names that.
+    (tmp_path / "arms" / "six").rename(tmp_path / "arms" / "panda")
+    with pytest.raises(
+        InputError, match=f"{PLACE}: got '.*arms.panda', expected a folder whose name"
+    ):
+        register_arm(Registry("arm", {"panda": tmp_path}))
     monkeypatch.setenv(PLACE, os.devnull)
     with pytest.raises(InputError, match=f"{PLACE}.*a folder with a folder for each arm"):
         register_arm(table)

@@ -335,7 +335,7 @@ def test_a_motion_that_leaves_the_box_is_not_sent(cell: Cell) -> None:
     box = Box((x - 0.2, y - 0.2, 0.5), (x + 0.2, y + 0.2, 1.5))
     ran = cell.run(layout=Site(safety=Safety(box=box)))
     assert (ran.stop, ran.blocks) == (Stop.REFUSED, 0)
-    assert "outside its box" in (ran.reason or "")
+    assert "outside the layout's safety.box" in (ran.reason or "")
 
 
 def test_eyes_take_the_place_of_trust(cell: Cell) -> None:
@@ -379,6 +379,23 @@ def test_a_run_in_the_simulation(tmp_path: Path) -> None:
     assert again.blocks == len(job.pieces) - 2
     assert again.plan.arm is not None
     assert (again.plan.arm.error_worst or 1.0) <= 1e-3
+
+
+def test_what_breaks_a_rule_goes_on_with_another_layout_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan, _ = wall(6, 3, 2)
+    plan.save(tmp_path, page=False)
+    file, head = tmp_path / "layout.json", {"format": "learn2assemble-layout", "version": 2}
+    box = [[-2, -2, 0.3], [2, 2, 2]]
+    file.write_text(json.dumps({**head, "safety": {"box": box}}))
+    call = ["run", str(tmp_path), "--layout", str(file), "--until", "1"]
+    assert main(call) == 1
+    said = capsys.readouterr().out
+    assert "outside the layout's safety.box" in said
+    assert "when `safety` of the layout allows it, goes on with --resume" in said
+    file.write_text(json.dumps({**head, "safety": {"speed": 0.5}}))
+    assert main([*call, "--resume"]) == 0
 
 
 def test_the_command(

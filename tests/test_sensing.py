@@ -221,6 +221,7 @@ def test_cameras_of_a_layout(tmp_path: Path) -> None:
         ({"noise": {"edges": 1.5}}, "cameras[0].noise.edges"),
         ({"position": [0, 0, float("nan")]}, "finite"),
         ({"position": [0, 0, 1e5]}, "cameras[0].position[2]"),
+        ({"position": [0.3, 0.0, -1.0]}, "a place above the table"),
         ({"look_at": [0, 0, 1]}, "away from the camera"),
         ({"quaternion": [1, 0, 0, 0]}, "one of look_at and quaternion"),
         ({"look_at": None, "quaternion": [0, 0, 0, 0]}, "length 1"),

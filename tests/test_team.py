@@ -9,6 +9,7 @@ import json
 import math
 import runpy
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,8 @@ from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.hands import Hand
 from learn2assemble.cell.crew import APART, ArmCrew
-from learn2assemble.cell.pieces import pieces_of
-from learn2assemble.cell.site import Site, read_site
+from learn2assemble.cell.pieces import Pose, pieces_of
+from learn2assemble.cell.site import Magazine, Site, read_site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import plan_by_team, set_up_team, team_reach
 from learn2assemble.constants import GRAVITY
@@ -296,6 +297,59 @@ def test_each_arm_takes_from_places_of_its_own() -> None:
     for member in members:
         away = [math.dist(s.pose[:2], member.job.base) for s in member.job.sources]
         assert max(away) < 0.85
+
+
+def one_row() -> Assembly:
+    """Two blocks of one kind side by side."""
+    return Assembly(
+        tuple(box_block(str(k), (0.07 * k, 0, 0), (0.07 * k + 0.06, 0.04, 0.04)) for k in range(2))
+    )
+
+
+@pytest.mark.parametrize(
+    ("told", "places", "own"),
+    [
+        ((None, None), [(-0.05, 0.3)], [(0,), ()]),
+        ((None, None), [(0.1, 0.3)], [(), (0,)]),
+        # Both are nearer to the first arm, and of the same kind: each gets one.
+        ((None, None), [(-0.1, 0.3), (-0.05, -0.3)], [(0,), (1,)]),
+        ((None, (0,)), [(-0.05, 0.3)], [(), (0,)]),
+        (((0, 1), None), [(0.1, 0.3), (0.1, -0.3)], [(0, 1), ()]),
+    ],
+)
+def test_a_magazine_that_both_arms_reach_is_of_one_of_them(
+    told: tuple[Any, Any], places: list[tuple[float, float]], own: list[tuple[int, ...]]
+) -> None:
+    arms = [
+        one._replace(base=(x, 0.0, 0.0, yaw), magazines=some)
+        for one, x, yaw, some in zip(ARMS, (-0.5, 0.5), (0.0, math.pi), told, strict=True)
+    ]
+    design = one_row()
+    kind = pieces_of(design)[0].kind
+    site = Site(magazines=tuple(Magazine(kind, Pose(*at)) for at in places))
+    members = set_up_team(design, arms, site)
+    for member, some in zip(members, own, strict=True):
+        given = [s.name for s in member.job.sources if "magazines" in s.name]
+        assert given == [f"layout: magazines[{n}]" for n in some]
+    plan = plan_by_team(design, members, options={})
+    assert plan.complete, plan.reason
+
+
+def test_a_magazine_of_two_arms_is_one_line() -> None:
+    arms = [one._replace(magazines=(0,)) for one in ARMS]
+    site = Site(magazines=(Magazine(pieces_of(one_row())[0].kind, Pose(0.0, -0.3)),))
+    with pytest.raises(InputError, match=r"arms\[\].magazines: got '0 of .* and of .*"):
+        set_up_team(one_row(), arms, site)
+
+
+def test_what_no_arm_can_bring_does_not_fall() -> None:
+    members = set_up_team(one_row(), ARMS, Site())
+    bare = [replace(one, job=replace(one.job, sources=())) for one in members]
+    plan = plan_by_team(one_row(), bare, options={})
+    assert not plan.complete
+    assert "no arm can bring 0, 1" in (plan.reason or "")
+    assert "no supply" in (plan.reason or "")
+    assert "falls" not in (plan.reason or "")
 
 
 def test_what_is_wider_than_arms_reach_is_one_line() -> None:

@@ -51,6 +51,7 @@ from learn2assemble.motion.plant import (
 )
 from learn2assemble.motion.program import Program, make_program, motions
 from learn2assemble.motion.record import find_fault
+from learn2assemble.motion.safety import Box, Safety
 from learn2assemble.motion.waits import APART as KEPT
 from learn2assemble.motion.waits import held_by, on_one_clock, with_waits
 from learn2assemble.planning.given import plan_assembly
@@ -437,6 +438,13 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
         )
     assert code == 0
     return folder / "out", json.loads(said.getvalue().splitlines()[-1])
+
+
+def test_both_arms_keep_the_rules_of_the_layout() -> None:
+    low = Site(safety=Safety(box=Box((-2.0, -2.0, 0.3), (2.0, 2.0, 2.0))))
+    plan = l2a.build(wall(4, 2, 1), arm=("ur5e", "panda"), layout=low)
+    assert plan.status == "incomplete"
+    assert "outside the layout's safety.box" in (plan.reason or "")
 
 
 def test_the_command_builds_with_two_arms(built: tuple[Path, dict[str, Any]]) -> None:

@@ -32,14 +32,18 @@ from learn2assemble.cell.state import Choice, area
 from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.world import STANDING, WorkcellBlocks, rows_of
 from learn2assemble.design.cells import CellDesign
+from learn2assemble.design.solids import mesh_boxes, read_mesh
 from learn2assemble.errors import InputError
 from learn2assemble.export.robot_programs import export_program
-from learn2assemble.motion.record import find_fault
+from learn2assemble.motion.record import RATE, find_fault
+from learn2assemble.motion.safety import Box, Safety
 from learn2assemble.motion.setup import Disturbance
 from learn2assemble.planning.plan import LARGEST, Plan
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.planning.tiling.ordering import polycube
+from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
+from learn2assemble.robot.kinematics import forward_many, get_chain
 from learn2assemble.statics.proofs import LOCAL, PROGRAM
 from learn2assemble.statics.rigid_blocks import margin, solve
 
@@ -336,6 +340,8 @@ def test_an_interrupted_build_goes_on_to_the_same_end(window: Plan, tmp_path: Pa
     other = quick(noise=(5e-4, 0.002), log=log, seed=5)
     with pytest.raises(InputError, match="the same design"):
         carry_out(window, other)
+    with pytest.raises(InputError, match="layout, seed, physics and noise as before"):
+        carry_out(window, quick(noise=(0.0, 0.0), log=log))
 
 
 # ---------------------------------------------------------------- the workcell of a user
@@ -391,6 +397,25 @@ def test_a_magazine_that_runs_empty_pauses_the_build(window: Plan, tmp_path: Pat
     assert whole.arm.attempts == len(window.steps)
 
 
+def test_a_build_keeps_the_rules_of_its_layout(tmp_path: Path) -> None:
+    plan = planned(np.ones((2, 1, 1), bool), dataclasses.replace(KIT, kinds=(KIT.kind("1x2"),)))
+    low = Site(safety=Safety(box=Box((-2.0, -2.0, 0.3), (2.0, 2.0, 2.0))))
+    log = tmp_path / "build.jsonl"
+    stopped = carry_out(plan, quick(site=low, log=log))
+    assert stopped.status == "incomplete"
+    assert "outside the layout's safety.box" in (stopped.reason or "")
+    # When the rule is another one it goes on, slowly.
+    slow = Site(safety=Safety(speed=0.1))
+    stands_where_it_should(carry_out(plan, quick(site=slow, log=log)))
+    done = carry_out(plan, Workcell("panda", "suction", site=slow))
+    stands_where_it_should(done)
+    assert done.record is not None
+    joints = done.record.joined()[0].joints
+    tool = forward_many(get_chain(get_arm("panda", "suction")), np.ascontiguousarray(joints))[0]
+    speed = np.linalg.norm(np.diff(tool, axis=0), axis=1) * RATE
+    assert 0.05 < speed.max() < 0.101
+
+
 @pytest.mark.parametrize(
     ("fields", "what"),
     [
@@ -434,6 +459,11 @@ def test_a_magazine_that_runs_empty_pauses_the_build(window: Plan, tmp_path: Pat
         ({"version": 3}, "version: got 3, expected 2"),
         ({"version": 1, "positions": []}, "version: got 1, expected 2"),
         ({"positions": [[0.2, -0.3]]}, "positions[0]"),
+        (
+            {"positions": [{"kind": "1x4", "at": [0.2, -0.3]}]},
+            "pallets and positions: got '1 of 2 1x4', expected places for all blocks of a kind",
+        ),
+        ({"table": [0.3, 0.5]}, "layout.json: table: got '"),
     ],
 )
 def test_layouts_that_cannot_be_used(tmp_path: Path, fields: dict[str, object], what: str) -> None:
@@ -610,10 +640,21 @@ def test_boxes_cover_a_mesh_and_leave_its_opening_free(tmp_path: Path) -> None:
     assert inside(free).mean() < 0.2
 
 
+@pytest.mark.parametrize("unit", [0.001, 0.0003, 0.01])
+def test_boxes_of_a_mesh_with_faces_in_the_planes_of_cuts_have_volume(unit: float) -> None:
+    dome = ROOT / "examples" / "designs" / "dome.stl"
+    boxes = mesh_boxes(dome, unit, "mesh")
+    sizes = np.array([high - low for low, high in boxes])
+    assert (sizes.min(1) > 1e-3 * sizes.max()).all()
+    whole = np.array(boxes).reshape(-1, 3)
+    size = np.ptp(read_mesh(dome.read_bytes(), "stl", "dome").triangles.reshape(-1, 3), axis=0)
+    assert np.allclose(np.ptp(whole, axis=0), unit * size)
+
+
 @pytest.mark.parametrize(
     ("entry", "words"),
     [
-        ({"mesh": "none.stl"}, "no such file"),
+        ({"mesh": "none.stl"}, r"none.stl: got 'no such file', expected a mesh \(.*obstacles"),
         ({"mesh": "open.stl"}, "closed mesh"),
         ({"mesh": "text.stl"}, "text.stl"),
         ({"mesh": "gate.step"}, "a file in stl, obj, ply, glb, 3dm"),

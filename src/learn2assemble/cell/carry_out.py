@@ -24,6 +24,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.linear_programs import Clock
 from learn2assemble.motion.plant import Plant, PlantError
+from learn2assemble.motion.safety import Safety, guarded
 from learn2assemble.motion.setup import BlockKind, Setup, open_plant
 from learn2assemble.planning.brick_plan import with_hands
 from learn2assemble.planning.plan import Plan, Status
@@ -129,6 +130,7 @@ def carry_out(
         world = cast("Restorable", seen)
         kept = Kept(world.state, world.restore)
     words, witness = words_of(job, workcell), Witness(plant)
+    seen = guarded(seen, job.arm, workcell.site.safety)
     try:
         building = Building(found, workcell, seen, words, key_of(plan, workcell), kept, witness)
     except PlantError as error:
@@ -267,9 +269,11 @@ def carry_out_cells(
 def key_of(plan: Plan, workcell: Workcell) -> str:
     """What a build must have in common with the one it goes on from."""
     steps = [(s.block, s.action, s.kind, s.position) for s in plan.steps]
-    # A magazine that ran empty may have been filled again.
+    # A magazine that ran empty may have been filled again, and what stopped a motion may be allowed
+    # now; boxes that are kept out are part of the cell.
     filled = tuple(replace(magazine, count=None) for magazine in workcell.site.magazines)
-    site = replace(workcell.site, magazines=filled, source="")
+    rules = Safety(keep_out=workcell.site.safety.keep_out)
+    site = replace(workcell.site, magazines=filled, safety=rules, source="")
     told = (
         steps,
         workcell.arm,

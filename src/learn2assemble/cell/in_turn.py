@@ -98,7 +98,7 @@ def two_arms(
     progress: Progress = lambda text: None,
     order: Sequence[StepOf] | None = None,
     opened: Callable[[Setup], Any] = simulated,
-    through: Callable[[int, Plant], Plant] = lambda who, plant: plant,
+    through: Callable[[int, Plant], Plant] | None = None,
 ) -> Together[Any]:
     """Two arms that are about to carry a plan out: at the same time, or, where somebody holds a
     block or is in the cell (:attr:`~.planning.plan.Plan.by_turns`), one after the other.
@@ -282,7 +282,7 @@ class InTurn(Together[Cell]):
         opened: Callable[[Setup], Cell],
         steps: Sequence[Step],
         ways: dict[int, Brought],
-        through: Callable[[int, Plant], Plant] = lambda who, plant: plant,
+        through: Callable[[int, Plant], Plant] | None = None,
     ) -> None:
         super().__init__(crew, opened, None, through)
         self.steps, self.ways = steps, ways

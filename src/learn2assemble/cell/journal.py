@@ -54,7 +54,8 @@ def read_states(path: Path, key: str) -> list[dict[str, Any]]:
             return []
         first, *lines = text.split("\n")[:-1]
         if first != head:
-            expected = "the same design, kit, arm, tool, layout and seed as before"
+            same = "design, kit, arm, tool, layout, seed, physics and noise"
+            expected = f"the same {same} as before"
             raise InputError("--resume", str(path), expected)
         states = [_unsealed(line) for line in lines]
         write_file(path, "".join(f"{line}\n" for line in (first, *lines)), "--resume")

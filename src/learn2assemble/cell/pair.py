@@ -31,6 +31,8 @@ from learn2assemble.cell.team import told_of
 from learn2assemble.cell.workcell import ROOMS, Job, Progress, StepOf, Workcell, job_of
 from learn2assemble.cell.world import RETURNED, STANDING, WorkcellBlocks
 from learn2assemble.errors import InputError
+from learn2assemble.motion.plant import Plant
+from learn2assemble.motion.safety import guarded
 from learn2assemble.planning.brick_plan import plan_for_arm, with_hands
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm
@@ -47,6 +49,10 @@ class Pair(NamedTuple):
     workcells: tuple[Workcell, Workcell]
     """Of each; all that belongs to the cell is that of the first one."""
     names: tuple[str, str]
+
+    def guarded(self, who: int, plant: Plant) -> Plant:
+        """The plant of an arm, which is told nothing that breaks the rules of the layout."""
+        return guarded(plant, self.found[who].job.arm, self.workcells[who].site.safety)
 
 
 def gather(

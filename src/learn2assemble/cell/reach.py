@@ -405,6 +405,7 @@ def set_up(job: Job, name: str, tool: str, site: Site, progress: Progress = sile
     check_held(get_arm(name, tool), pieces, job.assembly.joint.studs)
     order = [step.block for step in job.steps if not step.remove]
     given = given_sources(site, every, order)
+    _check_enough(site, given, [every[k] for k in order if not (job.hands and every[k].prop)])
     top = max(p.top for p in every)
     if site.base is not None:
         check_beside_supports(name, site.base, every)
@@ -441,6 +442,27 @@ def set_up(job: Job, name: str, tool: str, site: Site, progress: Progress = sile
         raise fault
     best = _whole(name, tool, pieces, most)
     raise _out_of_reach(name, pieces, best, best)
+
+
+def _check_enough(site: Site, given: Sequence[Source], needed: Sequence[Piece]) -> None:
+    """Refuse too few blocks on pallets and at positions, which nobody fills again.
+
+    Args:
+        given: what a layout names.
+        needed: the blocks that come from there or elsewhere.
+
+    Raises:
+        InputError: saying how many blocks of which kind there are, and how many there should be.
+    """
+    lying, want = (
+        Counter(s.shape for s in given if not s.magazine),
+        Counter(p.shape for p in needed),
+    )
+    names = {piece.shape: piece.name for piece in needed}
+    few = [f"{lying[one]} of {want[one]} {names[one]}" for one in lying if lying[one] < want[one]]
+    if few:
+        expected = "places for all blocks of a kind, or a magazine of it"
+        raise InputError(f"{site.source}: pallets and positions", ", ".join(few), expected)
 
 
 def check_beside_supports(name: str, base: Base, pieces: Sequence[Piece]) -> None:

@@ -454,7 +454,8 @@ def _table_about(at: np.ndarray, site: Site) -> Any:
 
 
 def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[Piece]) -> None:
-    """Refuse sources off the table, or where something else is.
+    """Refuse sources off the table, or where something else is, and blocks off a table that is
+    given.
 
     Raises:
         InputError: naming the entry of the layout.
@@ -465,6 +466,14 @@ def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[
     table = table_of(site, pieces).union(_table_about(np.zeros(2), site))
     low = [p for p in pieces if p.extent[0][2] < ON_TABLE and not p.sunk]
     structure = shapely.union_all([p.face() for p in low])
+    width, depth = site.table or TABLE
+    if site.table is not None:
+        ground = shapely.union_all([table, *(p.face() for p in pieces if p.sunk)]).buffer(ON_TABLE)
+        off = [p.id for p in low if not ground.contains(p.face())]
+        if off:
+            names = ", ".join(off[:3]) + (f" and {len(off) - 3} more" if off[3:] else "")
+            expected = f"all that stands on it inside, {width:g} x {depth:g} m about the origin"
+            raise InputError(f"{site.source}: table", f"{names} not on it", expected)
     blocked = [(o.name, outline(o)) for o in site.obstacles]
     for k, (what, area) in enumerate(blocked):
         if area.intersection(structure).area > 1e-9:
@@ -473,7 +482,6 @@ def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[
     for where, source in found:
         face, at = source.area, [round(v, 4) for v in source.pose]
         if not table.contains(face):
-            width, depth = site.table or TABLE
             raise InputError(where, at, f"a place on the table ({width:g} x {depth:g} m)")
         if face.intersection(structure).area > 1e-9:
             raise InputError(where, at, "a place outside the building site")

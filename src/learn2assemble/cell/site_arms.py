@@ -86,6 +86,42 @@ def _magazines(given: Mapping[str, Any], where: str, count: int) -> tuple[int, .
     return found
 
 
+def share_magazines(
+    arms: Sequence[SiteArm],
+    reached: Sequence[set[int]],
+    kinds: Sequence[str],
+    far: Sequence[Sequence[float]],
+    source: str,
+) -> list[set[int]]:
+    """Which magazines each of two arms takes from: those that it alone reaches or is said to take
+    from; of the rest the nearer ones, but where both have none else of a kind and there are two,
+    each gets one.
+
+    Args:
+        reached: numbers of the magazines that each reaches, or is said to take from.
+        kinds: of every magazine.
+        far: by magazine, from each arm [m].
+        source: the file.
+
+    Raises:
+        InputError: for a magazine that two are said to take from.
+    """
+    own, told = [set(some) for some in reached], [set(one.magazines or ()) for one in arms]
+    if twice := told[0] & told[1]:
+        got = f"{min(twice)} of {arms[0].name} and of {arms[1].name}"
+        raise InputError(f"{source}: arms[].magazines", got, "each magazine of one arm")
+    own = [own[0] - told[1], own[1] - told[0]]
+    for kind in sorted({*kinds}):
+        of_kind = {n for n, one in enumerate(kinds) if one == kind}
+        both = sorted(own[0] & own[1] & of_kind, key=lambda n: (far[n][0] - far[n][1], n))
+        least, most = (int(not some & of_kind - {*both}) for some in own)
+        count = sum(far[n][0] <= far[n][1] for n in both)
+        if least <= len(both) - most:
+            count = min(max(count, least), len(both) - most)
+        own = [own[0] - {*both[count:]}, own[1] - {*both[:count]}]
+    return own
+
+
 def named_arms(names: Sequence[str], tool: str | None, known: Sequence[SiteArm]) -> list[SiteArm]:
     """The arms that are asked for by name.
 

@@ -37,9 +37,10 @@ from learn2assemble.cell.reach import (
     way_down,
 )
 from learn2assemble.cell.site import Obstacle, Site, Source, given_sources, outline
-from learn2assemble.cell.site_arms import SiteArm
+from learn2assemble.cell.site_arms import SiteArm, share_magazines
 from learn2assemble.cell.workcell import Job, Progress, StepOf, check_ground
 from learn2assemble.errors import InputError
+from learn2assemble.planning.crew import NOBODY
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.reports import BuilderArm
@@ -249,35 +250,61 @@ def set_up_team(
     obstacles = (*site.obstacles, *site.kept_out)
     taken = [shapely.Point(*_base_of(one)[:2]).buffer(BASE_RADIUS) for one in found.arms]
     taken += [outline(o) for o in obstacles]
-    members: list[Member] = []
-    used: set[str] = set()
-    for number, one in enumerate(found.arms):
-        base = _base_of(one)
-        across = np.array(_base_of(found.arms[1 - number])[:2])
-        arm = _with_tool(place_arm(one.arm, one.tool or TOOL, base), level)
+    jobs = list[Job]()
+    for one in found.arms:
+        arm = _with_tool(place_arm(one.arm, one.tool or TOOL, _base_of(one)), level)
         mine = with_rests(pieces, arm, own_side(pieces, arm) if level else {})
-        given = given_sources(site, mine, order)
-        if one.magazines is not None:
-            names = {f"{site.source}: magazines[{n}]" for n in one.magazines}
-            given = [source for source in given if source.name in names]
-            check_reached(arm, given, mine, max(p.top for p in mine))
-        else:
-            given = [source for source in given if _reaches(arm, source, mine)]
-        used |= {source.name for source in given}
-        job = Job(mine, steps, assembly, arm, (), obstacles, assembly.friction)
-        job = replace(job, arm=resting(arm, base[3], mine))
-        job = supplied(job, given, site, taken, across, progress)
+        jobs.append(Job(mine, steps, assembly, arm, (), obstacles, assembly.friction))
+    waiting = [given_sources(site, job.pieces, order) for job in jobs]
+    own_sources = _own_sources(site, found.arms, jobs, waiting)
+    members: list[Member] = []
+    for number, (one, job, given) in enumerate(zip(found.arms, jobs, own_sources, strict=True)):
+        across = np.array(_base_of(found.arms[1 - number])[:2])
+        job = replace(job, arm=resting(job.arm, _base_of(one)[3], job.pieces))
+        others = [s.area.buffer(APART) for s in own_sources[1 - number]]
+        job = supplied(job, given, site, [*taken, *others], across, progress)
         taken += [source.area.buffer(APART) for source in job.sources if source not in given]
         members.append(Member(one.name, job))
-    for n, magazine in enumerate(site.magazines):
-        if f"{site.source}: magazines[{n}]" not in used:
-            at = [round(v, 4) for v in magazine.pose]
-            what = f"{site.source}: magazines[{n}]"
-            raise InputError(what, at, "a place that one of the arms takes from and reaches")
     # Where blocks lean, one arm holds and the other one passes low, as it puts blocks down tilted;
     # where both move at once, ways above a base leave the room in front of it to the other arm.
     past = BASE_THERE if leaning(joints).any() else AT_THE_SIDE
     return [_clear_of(m, [one.job for one in members if one is not m], past) for m in members]
+
+
+def _own_sources(
+    site: Site, arms: Sequence[SiteArm], jobs: Sequence[Job], waiting: Sequence[list[Source]]
+) -> list[list[Source]]:
+    """What each of two arms takes of the magazines of a layout: as what one takes is in the way of
+    the other one, each magazine is of one arm.
+
+    Args:
+        waiting: what comes from the magazines, as each arm would take it.
+
+    Raises:
+        InputError: for a magazine that no arm takes from or reaches, or that two shall take from.
+    """
+    names = [f"{site.source}: magazines[{n}]" for n in range(len(site.magazines))]
+    found, reached = list[list[Source]](), list[set[int]]()
+    for one, job, sources in zip(arms, jobs, waiting, strict=True):
+        if one.magazines is None:
+            given = [source for source in sources if _reaches(job.arm, source, job.pieces)]
+        else:
+            given = [s for s in sources if names.index(s.name) in one.magazines]
+            check_reached(job.arm, given, job.pieces, max(p.top for p in job.pieces))
+        found.append(given)
+        reached.append({names.index(source.name) for source in given})
+    kinds = [magazine.kind for magazine in site.magazines]
+    far = [[math.dist(m.pose[:2], _base_of(a)[:2]) for a in arms] for m in site.magazines]
+    own = share_magazines(arms, reached, kinds, far, site.source)
+    for n, magazine in enumerate(site.magazines):
+        if not any(n in some for some in own):
+            at = [round(v, 4) for v in magazine.pose]
+            expected = "a place that one of the arms takes from and reaches"
+            raise InputError(names[n], at, expected)
+    return [
+        [source for source in given if names.index(source.name) in some]
+        for given, some in zip(found, own, strict=True)
+    ]
 
 
 def _clear_of(member: Member, others: Sequence[Job], past: int) -> Member:
@@ -421,7 +448,8 @@ def plan_by_team(
     plan = plan_assembly(bare, supports=help_, progress=progress, **options)
     # Posts that no arm brings are set by hand, and no reason.
     told_last = [w for k, w in crews[-1].why.items() if k < len(bare.blocks)][-1:]
-    why = "; ".join(told_last) if plan.status == "incomplete" else ""
+    told = plan.status == "incomplete" or NOBODY in (plan.reason or "")
+    why = "; ".join(told_last) if told else ""
     reason = f"{plan.reason} ({why})" if why else plan.reason
     return replace(_by_hand(plan), arms=told_of(members), reason=reason)
 

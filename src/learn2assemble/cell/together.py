@@ -109,7 +109,8 @@ class Together(Generic[Cell]):
         opened: opens the cell that is described, with the plants of both arms; of a simulation
             :class:`~learn2assemble.simulation.plant.DynamicPlant`.
         journal: what is kept of it; where there is something, the build goes on from that.
-        through: by number and plant of an arm, what that is driven through; by default itself.
+        through: by number and plant of an arm, what that is driven through; by default what keeps
+            the rules of the layout.
 
     Raises:
         InputError: for a journal of another build, or one that cannot be used.
@@ -125,7 +126,7 @@ class Together(Generic[Cell]):
         crew: Pair,
         opened: Callable[[Setup], Cell],
         journal: SharedJournal | None = None,
-        through: Callable[[int, Plant], Plant] = lambda who, plant: plant,
+        through: Callable[[int, Plant], Plant] | None = None,
     ) -> None:
         first, second = (one.job.arm for one in crew.found)
         job = crew.found[0].job
@@ -136,6 +137,7 @@ class Together(Generic[Cell]):
         self.journal, kept = journal, list[dict[str, Any]]()
         if journal is not None:
             kept = journal.read(self.plant, (first, second))
+        through = through or crew.guarded
         mine, other = (through(*one) for one in enumerate(self.plant.plants))
         self.arms: tuple[ArmInTraffic, ArmInTraffic] = (
             ArmInTraffic(mine, self.traffic, 0, other),

@@ -58,6 +58,7 @@ def _run(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where everything is done, or the run was paused as asked; else 1."""
     from learn2assemble.cell.site import Site, read_site
     from learn2assemble.jobs.run import SIMULATION, run
+    from learn2assemble.motion.safety import by_rule
     from learn2assemble.motion.setup import Surroundings
     from learn2assemble.planning.plan import load_plan
 
@@ -122,7 +123,8 @@ def _run(options: argparse.Namespace, output: Output) -> int:
         arm = f"{ran.plan.arms[number].name}: " if ran.plan.arms else ""
         output.say(f"{arm}{link.motions} motions, {longer}")
     if not ran.complete and state.exists():
-        output.say(f"goes on with `resume=`: {state}")
+        first = "when `safety` of the layout allows it, " if by_rule(ran.reason or "") else ""
+        output.say(f"{first}goes on with `resume=`: {state}")
     output.finish(result)
     return 0 if ran.complete or paused else 1
 

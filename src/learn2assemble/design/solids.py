@@ -35,6 +35,8 @@ OBSTACLES = ("stl", "obj", "ply", "glb", "3dm")
 MOST_BOXES, SPARE = 48, 0.15
 """A mesh is covered by so many boxes at most, and by no more than it takes to leave this share of
 the room that its bounding box has to spare."""
+FLAT = 1e-9
+"""What is thinner than this share of the whole is no piece of it."""
 Mesh = tuple[np.ndarray, np.ndarray]
 """Vertices ``float64[V, 3]`` and triangles ``int64[T, 3]``."""
 
@@ -411,7 +413,7 @@ def mesh_boxes(path: Path, unit: float | None, where: str) -> list[tuple[np.ndar
     kind = path.suffix.lower().lstrip(".")
     if kind not in OBSTACLES:
         raise InputError(where, str(path), f"a file in {', '.join(OBSTACLES)}")
-    content, source = read_bytes(path, where)
+    content, source = read_bytes(path, f"mesh ({where})")
     solid = read_mesh(content, kind, source)
     triangles = solid.triangles * (unit or solid.metres or 1.0)
     if solid.up == "y":
@@ -445,6 +447,7 @@ def _covering(triangles: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         low, high = bounds(piece)
         return float(np.prod(high - low)) - piece.volume()
 
+    thin = FLAT * float(np.subtract(*bounds(whole)[::-1]).max())
     pieces, enough = [whole], SPARE * spare(whole) + 1e-9
     while len(pieces) < MOST_BOXES and sum(map(spare, pieces)) > enough:
         worst = max(pieces, key=spare)
@@ -453,5 +456,6 @@ def _covering(triangles: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         normal = [float(k == axis) for k in range(3)]
         halves = worst.split_by_plane(normal, float((low + high)[axis] / 2))
         pieces.remove(worst)
-        pieces += [half for half in halves if not half.is_empty()]
+        # Where faces lie in the plane, rounding leaves slivers of them.
+        pieces += [h for h in halves if np.subtract(*bounds(h)[::-1]).min() > thin]
     return [bounds(piece) for piece in pieces]

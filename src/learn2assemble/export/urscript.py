@@ -136,7 +136,10 @@ def _head(
     numbers = [step.number for step in program.steps]
     resume = numbers[0] if resume_from is None else resume_from
     if isinstance(resume, bool) or resume not in numbers:
-        raise InputError("resume_from", resume, f"a step from {numbers[0]} to {numbers[-1]}")
+        near = [n for n in numbers if abs(n - resume) <= 2]
+        words = f"a step of this arm, from {numbers[0]} to {numbers[-1]}"
+        words += f", as {' or '.join(map(str, near))}" if near else ""
+        raise InputError("resume_from", resume, words)
     about = preparation(program, arm, settings, refill, resume)
     driver = driver_of(arm)
     planned = planned_frame(arm)

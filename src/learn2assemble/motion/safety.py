@@ -31,6 +31,8 @@ from learn2assemble.values import check_keys, mapping, number, rounded, sequence
 
 SECTION = "safety"
 """Key of the rules in a layout file."""
+RULES = "the layout's safety."
+"""What a reason calls a rule by, before its key."""
 KEYS = ("box", "speed", "force", "keep_out")
 FAST, STRONG, FAR = 10.0, 1000.0, 100.0
 """Largest limits that make sense [m/s], [N]; no corner is farther from the origin [m]."""
@@ -180,9 +182,9 @@ class SafetyRules:
                     return f"{words[k]} at {begin[k] + half[k]:.2f} s"
                 if spare[k] < tool[k] or near[k] < arm[k]:
                     if half[k] < SHORTEST:
-                        what = "the tool may leave its box"
+                        what = f"the tool may leave {RULES}box"
                         if spare[k] >= tool[k]:
-                            what = "the arm may enter a box that is kept out"
+                            what = f"the arm may enter a box of {RULES}keep_out"
                         return f"{what} at {begin[k] + half[k]:.2f} s"
                     open_.append(k)
             a, b, m, f = begin[open_], end[open_], (begin + half)[open_], fastest[open_]
@@ -204,12 +206,12 @@ class SafetyRules:
             spare = np.minimum(position - low, high - position).min(1)
             for k in np.flatnonzero(spare < 0).tolist():
                 place = ", ".join(f"{rounded(x, 3):.3f}" for x in position[k])
-                words[k] = f"the tool would be at {place}, outside its box"
+                words[k] = f"the tool would be at {place}, outside {RULES}box"
         if self._boxes:
             for k in range(len(q)):
                 near[k], box = self._distance(q[k])
                 if near[k] <= 0:
-                    words[k] = words[k] or f"the arm would be in keep_out[{box}]"
+                    words[k] = words[k] or f"the arm would be in {RULES}keep_out[{box}]"
         return words, spare, near
 
     def _distance(self, q: np.ndarray) -> tuple[float, int]:
@@ -249,6 +251,21 @@ def _moves(model: mujoco.MjModel, body: int, first: set[int]) -> bool:
             return True
         body = int(model.body_parentid[body])
     return False
+
+
+def guarded(plant: Plant, arm: Arm, safety: Safety) -> Plant:
+    """A plant that is told nothing that breaks the rules; the plant itself where there are none.
+
+    Args:
+        plant, arm, safety: as of :class:`Guarded`.
+    """
+    return plant if safety == Safety() else Guarded(plant, arm, safety)
+
+
+def by_rule(reason: str) -> bool:
+    """Whether a motion was refused for this reason because it would have broken a rule, as it will
+    be again."""
+    return RULES in reason
 
 
 class Guarded(WrappedPlant):

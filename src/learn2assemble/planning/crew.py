@@ -20,6 +20,8 @@ class Bringing(NamedTuple):
 
 
 ANYHOW = Bringing()
+NOBODY = "no arm can bring"
+"""What a reason says before the blocks for which nobody has a grip."""
 
 
 class Crew(Protocol):

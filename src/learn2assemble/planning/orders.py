@@ -20,6 +20,7 @@ from learn2assemble.assembly.contacts import Contacts, contact_tolerance, find_c
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.centring import find_centring
 from learn2assemble.planning.clearance import FreeWays
+from learn2assemble.planning.crew import NOBODY
 from learn2assemble.planning.disassembly import TakingApart
 from learn2assemble.planning.fewest_posts import fewest_posts
 from learn2assemble.planning.forward import ANY_GRIPS, BuildingSite, Forward
@@ -300,7 +301,7 @@ class _DryOrder:
         blocks = (*self.blocks[: self.count], *(self.blocks[b] for b in used))
         if found.complete:
             return Sequenced(blocks, made, "complete")
-        reason = self._why(self.after(found.steps).present, found.stuck)
+        reason = self._why(self.after(found.steps), found.stuck)
         return Sequenced(blocks, made, "not found", reason, found.stuck)
 
     def worth(self, found: _Steps) -> tuple[bool, int]:
@@ -314,15 +315,18 @@ class _DryOrder:
             state = step.after(state)
         return state
 
-    def _why(self, present: np.ndarray, stuck: tuple[int, ...]) -> str:
+    def _why(self, state: State, stuck: tuple[int, ...]) -> str:
+        present, site = state.present, self.rules.site
         if self.clock.left <= 0:
             there = int(present[self.rules.wanted].sum())
             return f"time ran out after {self.clock.limit:g} s with {there} blocks placed"
         names = list_ids(self.blocks, stuck)
         if present[self.rules.wanted].all():
             return f"{names} cannot be taken away: without, or on the way, something falls"
-        if not any(self.rules.site.ways.free(b, present) for b in stuck):
+        if not any(site.ways.free(b, present) for b in stuck):
             return f"no way to the place of {names} is free"
+        if not any(True for b in stuck for _ in site.crew.grips(b, state)):
+            return f"no order found: {NOBODY} {names}"
         return f"no order found: the next step falls with any of {names}"
 
 

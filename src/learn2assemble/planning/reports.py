@@ -57,7 +57,7 @@ class ArmReport:
     base: tuple[Metre, Metre, Metre, Annotated[float, Range(-100, 100)]] | None = None
     """x, y, z of its base [m], and the direction it faces [rad from x]."""
     places: Count | None = None
-    """Poses at which blocks were taken: magazines, and places of single blocks."""
+    """Poses at which blocks wait for it: magazines, and places of single blocks."""
     attempts_per_step: Annotated[float, Range(0, 1e6)] | None = None
     """Attempts over blocks placed and props taken away; 1 where nothing failed."""
     error_mean: Metre | None = None

@@ -46,6 +46,8 @@ MAX_CARRIED = 4
 """Cells of the largest object ..."""
 MAX_SIZED = 16
 """... and boxes, at first, of the largest one where scenes say how large they are."""
+HELD = "what is held"
+"""What messages call what is carried."""
 _CELL, _FILLER = (HALF, HALF, HALF), (GAP / 2, HALF, HALF)
 _ARM, _CARRIED, _THING = 1, 2, 4
 _FAR = (0.0, 0.0, -50.0)
@@ -60,7 +62,8 @@ class Collision(NamedTuple):
     """A link of the arm is in the way, not its hand or what it holds."""
 
     def __str__(self) -> str:
-        return f"{self.part} touches {self.other}"
+        one, other = (HELD if n.startswith("carried ") else n for n in (self.part, self.other))
+        return f"{one} touches {other}"
 
 
 class CollisionChecker(ABC):

@@ -25,5 +25,9 @@ def register_arm(table: Registry[Path]) -> None:
     if not place.is_dir():
         raise InputError(PLACE, told, "a folder with a folder for each arm")
     for file in sorted(place.glob("*/arm.toml")):
-        if is_plain_name(file.parent.name):
-            table.register(file.parent.name, file.resolve())
+        name = file.parent.name
+        if name in table:
+            expected = "a folder whose name no other arm has"
+            raise InputError(PLACE, str(file.parent), expected)
+        if is_plain_name(name):
+            table.register(name, file.resolve())

@@ -19,6 +19,7 @@ import numpy as np
 from learn2assemble.errors import InputError, check_name
 from learn2assemble.files import as_path, claim_folder, read_text, write_file
 from learn2assemble.registry import PLAIN_NAME, is_plain_name
+from learn2assemble.robot.registry import ARMS
 from learn2assemble.robot.tool import COLLISION_GROUP
 
 ACCELERATION, JERK = 8.0, 500.0
@@ -55,12 +56,14 @@ def arm_from_urdf(
         ``arm.toml`` in the folder.
 
     Raises:
-        InputError: for what is no URDF of such an arm, a mesh that is missing, and a posture with
-            the tool down that is not found.
+        InputError: for a name that is taken, what is no URDF of such an arm, a mesh that is
+            missing, and a posture with the tool down that is not found.
     """
     path, folder = as_path(urdf, "urdf"), as_path(folder, "folder")
     if not is_plain_name(folder.name):
         raise InputError("name of the arm", folder.name, PLAIN_NAME)
+    if folder.name in ARMS:
+        raise InputError("name of the arm", folder.name, "a folder whose name no other arm has")
     with claim_folder(folder):
         return _written(path, folder, flange, payload)
 

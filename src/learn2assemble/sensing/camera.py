@@ -181,6 +181,9 @@ def parse_camera(value: Any, where: str) -> DepthCamera:
     given = from_plain(_Entry, mapping(value, where), source, path)
     if not given.name.strip():
         raise InputError(f"{where}.name", given.name, "a name")
+    if given.position[2] <= 0:
+        expected = "a place above the table, z = 0, through which no camera sees"
+        raise InputError(f"{where}.position", list(given.position), expected)
     columns, rows = given.resolution
     if min(columns, rows) < 8 or columns * rows > MOST_PIXELS:
         expected = f"columns and rows, 8 or more each and {MOST_PIXELS} pixels at most"
