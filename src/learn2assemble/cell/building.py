@@ -220,7 +220,8 @@ class Building:
             return False
         if presented and action.source is not None:
             world.used[action.source] += 1
-        self.recording.sync()  # What was presented or taken in has moved during the last attempt.
+        # What was presented or taken in has moved during the last attempt.
+        self.recording.takes((k, *action.group))
         for n in action.group:
             self._ask("join", n, world.pose[n], world.names[k])
         lost: PlantError | None = None
@@ -233,6 +234,7 @@ class Building:
         except PlantError as error:
             lost, came = error, self._interrupted(rows, move, k, error)
         if came.yields:
+            self.recording.taken.clear()
             if presented and action.source is not None:
                 world.used[action.source] -= 1
                 self._take_back(k)
@@ -521,6 +523,7 @@ class Building:
 
     def _record(self, action: Action, rows: Rows, move: Move, came: Came) -> None:
         """Append an attempt to the record of the build."""
+        self.recording.taken.clear()
         if not self.recorded:
             return
         recorder, scene = self.recording.recorder, rows.scene

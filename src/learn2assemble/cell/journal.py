@@ -11,7 +11,7 @@ import base64
 import dataclasses
 import json
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -148,14 +148,34 @@ class Recording:
         self.obstacles: list[Obstacle] = [one for one in self.job.obstacles if not one.aside]
         self.fixed: list[int] = [sum(map(len, self.cells)) + n for n in range(len(self.obstacles))]
         self.hands: list[ByHand] = []
-        self.begin(joints, 0.0)
+        self.taken: dict[int, np.ndarray] = {}
+        """float64[7] of each piece of the attempt that is under way: where it was when that
+        began."""
+        self._start(joints, 0.0, *self._there())
 
     def begin(self, joints: np.ndarray, width: float) -> None:
-        """Before the first attempt; the pads are ``width`` apart [m]."""
-        poses, objects, half, density, hull = self._there()
+        """The first attempt has been carried out, from where everything is in the record; the pads
+        were ``width`` apart [m]."""
+        made = self.recorder
+        self._start(joints, width, made.poses, made.objects, made.half, made.density, made.hull)
+
+    def _start(
+        self,
+        joints: np.ndarray,
+        width: float,
+        poses: np.ndarray,
+        objects: tuple[tuple[int, ...], ...],
+        *shapes: Any,
+    ) -> None:
         self.recorder = BuildRecorder(
-            self.job.arm, joints, width, poses, objects, self.words, CellShapes(half, density, hull)
+            self.job.arm, joints, width, poses, objects, self.words, CellShapes(*shapes)
         )
+
+    def takes(self, pieces: Sequence[int]) -> None:
+        """An attempt with these pieces is about to begin: until it is in the record, they are there
+        where they are now, whatever is seen of them meanwhile."""
+        self.taken = {k: self.world.pose[k].copy() for k in pieces}
+        self.sync()
 
     def by_hand(self, k: int, place: bool) -> None:
         """A block is about to be placed or taken away by hand."""
@@ -183,7 +203,8 @@ class Recording:
         count = sum(map(len, self.cells)) + len(self.fixed)
         halves, densities, poses = np.empty((count, 3)), np.empty(count), np.zeros((count, 7))
         hulls: list[Hull | None] = [None] * count
-        for body, piece, pose in zip(self.body, self.world.pieces, self.world.pose, strict=True):
+        for k, (body, piece) in enumerate(zip(self.body, self.world.pieces, strict=True)):
+            pose = self.taken.get(k, self.world.pose[k])
             turn = quaternion_matrix(pose[3:])
             for cell, part in zip(self.cells[body], piece.shape, strict=True):
                 halves[cell], hulls[cell] = part.half, part.hull
