@@ -177,10 +177,11 @@ class Recording:
         self.taken = {k: self.world.pose[k].copy() for k in pieces}
         self.sync()
 
-    def by_hand(self, k: int, place: bool) -> None:
-        """A block is about to be placed or taken away by hand."""
-        cells, name = self.cells[self.body[k]], self.world.pieces[k].id
-        self.hands.append(ByHand(len(self.recorder.steps), cells, name, place))
+    def by_hand(self, k: int, place: bool, stood: float) -> None:
+        """A block is about to be placed or taken away by hand; so long the arm has stood since its
+        last motion [s]."""
+        made, cells, name = self.recorder, self.cells[self.body[k]], self.world.pieces[k].id
+        self.hands.append(ByHand(len(made.steps), cells, name, place, made.now + stood))
 
     def sync(self) -> None:
         """The record has all cells there are now, and they are where they are now."""
@@ -265,7 +266,7 @@ class Recording:
         self.body, self.like = state["body"], state["like"]
         self.cells = [tuple(c) for c in state["cells"]]
         self.hands = [
-            ByHand(after, tuple(cells), name, place) for after, cells, name, place in state["hands"]
+            ByHand(after, tuple(cells), *others) for after, cells, *others in state["hands"]
         ]
         self.sync()
 

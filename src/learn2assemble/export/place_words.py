@@ -288,6 +288,10 @@ def _order(program: Program) -> list[str]:
         else f"{hand.words}, at the end"
         for hand in program.hands
     ]
+    for wait in program.waits:
+        step = next((one.number for one in program.steps if wait.time < one.end + 1e-9), None)
+        goes = "at the end" if step is None else f"before step {step} goes on"
+        found += [f"{words}, {goes}: the other program asks for it" for words in wait.hands]
     return found
 
 

@@ -90,7 +90,7 @@ def header(program: Program, arm: Arm) -> dict[str, Any]:
         },
         "places": places_data(program, arm),
         **(_waits(program) if program.of_two else {}),
-        "hands": [hand._asdict() for hand in program.hands],
+        "hands": [hand._asdict() | {"time": round(time, 6)} for hand, time in program.asks],
         "steps": [
             {
                 "step": step.number,
@@ -108,7 +108,12 @@ def header(program: Program, arm: Arm) -> dict[str, Any]:
 def _waits(program: Program) -> dict[str, Any]:
     """What two arms wait for."""
     waits = [
-        {"time": round(one.time, 6), "other": round(one.other, 6), "number": one.number}
+        {
+            "time": round(one.time, 6),
+            "other": round(one.other, 6),
+            "number": one.number,
+            **({"hands": one.hands} if one.hands else {}),
+        }
         for one in program.waits
     ]
     return {"waits": waits, "awaited": [round(time, 6) for time in program.awaited]}
@@ -194,7 +199,11 @@ def read_header(data: Any, source: str, name: str) -> Header:
             raise InputError(f"{source}: steps", "cells that are no object", "cells of objects")
         numbers = _array([data[key] for key in ("seconds", "stretch", "gripper_speed")], 3)
         waits = tuple(
-            Wait(float(one["time"]), float(one["other"]), int(one["number"]))
+            Wait(
+                *(float(one[key]) for key in ("time", "other")),
+                int(one["number"]),
+                tuple(map(str, one.get("hands", ()))),
+            )
             for one in data.get("waits", ())
         )
         awaited = tuple(map(float, data.get("awaited", ())))

@@ -69,6 +69,8 @@ def record_data(record: BuildRecord) -> dict[str, Any]:
         "steps": steps,
     }
     del data["studs"]
+    # Older versions did not tell when.
+    data["hands"] = [one if one[-1] is not None else one[:-1] for one in data["hands"]]
     for key in ("names", "kinds"):
         if not data[key]:
             del data[key]
@@ -107,8 +109,10 @@ def record_from(data: Any) -> BuildRecord:
             None if data["density"] is None else _array("density", data["density"], (count,)),
             None if data["hull"] is None else tuple(map(_hull_from, data["hull"])),
             tuple(
-                ByHand(int(after), tuple(map(int, cells)), str(name), place is True)
-                for after, cells, name, place in data["hands"]
+                ByHand(
+                    int(after), tuple(map(int, cells)), str(name), place is True, *map(float, at)
+                )
+                for after, cells, name, place, *at in data["hands"]
             ),
             None if data.get("studs") is None else studs_from(data["studs"], count),
             *(_words_from(data, key, len(objects)) for key in ("names", "kinds")),

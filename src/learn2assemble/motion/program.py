@@ -106,6 +106,8 @@ class Wait(NamedTuple):
     """... when the other one's program has come so far [s, of that program]."""
     number: int
     """1, 2, ...: of :attr:`Program.awaited` of that program."""
+    hands: tuple[str, ...] = ()
+    """What is done by hand by then, for which that program asks, in words."""
 
 
 class Supply(NamedTuple):
@@ -198,7 +200,10 @@ class Program:
     stretch: float = 1.0
     """Largest factor by which the time of a motion was stretched."""
     hands: tuple[ByHand, ...] = ()
-    """What is done by hand between the steps, while the robot waits."""
+    """What is done by hand between the steps, while the robot waits; its times are those of the
+    record."""
+    halts: tuple[float, ...] = ()
+    """Of a build by two, when the robot begins to wait for each of these [s]."""
     places: tuple[PickPlace, ...] = ()
     """Where its blocks are taken from; not told by a program that was read from a file."""
     recorded: np.ndarray | None = None
@@ -212,6 +217,13 @@ class Program:
     def seconds(self) -> float:
         """[s]"""
         return float(self.knots.time[-1])
+
+    @property
+    def asks(self) -> list[tuple[ByHand, float]]:
+        """What is done by hand, and when the robot begins to wait for it [s]."""
+        ends = [0.0, *(step.end for step in self.steps)]
+        times = self.halts or [ends[hand.after] for hand in self.hands]
+        return list(zip(self.hands, times, strict=True))
 
     @property
     def of_two(self) -> bool:

@@ -141,6 +141,8 @@ class ByHand(NamedTuple):
     """What the block is called."""
     place: bool
     """It is placed, rather than taken away."""
+    time: float | None = None
+    """When, on the clock of the record, which two arms share [s]; None: not told."""
 
     @property
     def words(self) -> str:
@@ -265,6 +267,8 @@ def _structure(record: BuildRecord) -> Iterator[str]:
     for hand in record.hands:
         if set(hand.cells) not in own or not 0 <= hand.after <= len(record.steps):
             yield f"hands: cells {list(hand.cells)} after step {hand.after} are none of the build"
+        if hand.time is not None and not np.isfinite(hand.time):
+            yield f"hands: {hand.words} at {hand.time:g} s"
     for k, step in enumerate(record.steps, 1):
         if step.number != k:
             yield f"step {step.number}: should have number {k}"
