@@ -368,7 +368,10 @@ def _asks(program: Program, arm: Arm) -> Iterator[_Ask]:
             hand = program.places[step.pick.place - 1].centre
             time = _aside(program, arm, k, hand)
             yield _Ask(k, time, f"l2a_wait_for_block({_wanted(program, step)})")
+        taken = {c for hand in program.hands if hand.after == k + 1 for c in hand.cells}
         for one in program.blocks.supply:
+            if taken.issuperset(one.cells):
+                continue  # It is asked for as a step by hand.
             if program.of_two and not set(one.cells) & set(step.cells):
                 continue  # The other arm has put it back.
             if begin + 1e-9 < one.time <= step.end + 1e-9 and one.poses[0, 2] < 0:
