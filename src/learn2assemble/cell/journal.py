@@ -106,7 +106,8 @@ def _array(value: list[Any]) -> np.ndarray:
 
 def _unpacked(value: dict[str, Any]) -> StepRecord:
     samples = Samples(**{name: _array(array) for name, array in value["samples"].items()})
-    arrays = {name: _array(value[name]) for name in ("target", "before", "after")}
+    told = ("target", "before", "after", "source")
+    arrays = {name: _array(value[name]) for name in told if value.get(name) is not None}
     fields: dict[str, Any] = {
         **value,
         **arrays,

@@ -62,6 +62,8 @@ def record_data(record: BuildRecord) -> dict[str, Any]:
     steps: list[dict[str, Any]] = []
     for step in map(_plain, record.steps):
         samples = step.pop("samples")
+        if step["source"] is None:
+            del step["source"]
         steps.append({"step": step.pop("number"), **step, **samples})
     data: dict[str, Any] = {
         **head,
@@ -201,6 +203,7 @@ def _step_from(item: Mapping[str, Any], where: str, n: int, cells: int) -> StepR
         array("before", cells, 7),
         array("after", cells, 7),
         None if item["truth"] is None else array("truth", cells, 7),
+        None if item.get("source") is None else array("source", 7),
     )
 
 

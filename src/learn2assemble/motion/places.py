@@ -18,6 +18,8 @@ from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.record import BuildRecord, StepRecord
 from learn2assemble.robot.moves import DENSITY
 
+SQUARE = 5e-5
+"""Sides that differ by no more are told as equal: those of a square [m]."""
 NEAR, TURNED = 0.003, math.radians(2.0)
 """Blocks that wait no farther from each other lie at one place [m], [rad]."""
 
@@ -143,13 +145,18 @@ def supplied(record: BuildRecord) -> Supplied:
 
 
 def _lying(record: BuildRecord, number: int, step: StepRecord) -> PickPlace:
-    """A place with one block, where a step finds it.
+    """A place with one block, where a step finds it; where that was not seen exactly, as it is
+    meant to lie there.
 
     Args:
         number: of the object.
     """
     cells, poses = record.objects[number], step.before
     points = np.concatenate([_corners(record, cell, poses[cell]) for cell in cells])
+    if step.source is not None:
+        seen = poses[step.cells[0]]
+        turn = quaternion_matrix(step.source[3:]) @ quaternion_matrix(seen[3:]).T
+        points = step.source[:3] + (points - seen[:3]) @ turn.T
     boxes = record.hull is None or all(record.hull[cell] is None for cell in cells)
     size, centre, turn = _box(points)
     kind = record.kinds[number] if record.kinds else ""
@@ -239,10 +246,10 @@ def _box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     ring = np.array(around.exterior.coords)
     edges = np.diff(ring, axis=0)[:2]
     length = np.linalg.norm(edges, axis=1)
-    along = edges[int(length[1] > length[0] + 1e-6)]
+    along = edges[int(length[1] > length[0] + SQUARE)]
     turn = math.atan2(along[1], along[0])
     # Of a square the side nearest to x, from below 45 degrees on either side.
-    if abs(length[1] - length[0]) <= 1e-6:
+    if abs(length[1] - length[0]) <= SQUARE:
         turn = (turn + math.pi / 4) % (math.pi / 2) - math.pi / 4
     size = np.array([length.max(), length.min(), high[2] - low[2]])
     middle = np.array([*ring[:4].mean(0), (low[2] + high[2]) / 2])

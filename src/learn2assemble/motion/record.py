@@ -111,6 +111,9 @@ class StepRecord:
     truth: np.ndarray | None = None
     """The same as it really was, which a simulation tells when the build is over; None: nobody
     tells, or all was seen exactly."""
+    source: np.ndarray | None = None
+    """float64[7]: pose in which the grasped cell is meant to wait; None: nobody tells, or it was
+    seen exactly."""
 
     @property
     def seconds(self) -> float:
@@ -280,6 +283,8 @@ def _structure(record: BuildRecord) -> Iterator[str]:
                 yield f"step {k}: {what} does not hold 7 numbers for each of {count} cells"
             elif np.abs(np.linalg.norm(poses[:, 3:], axis=1) - 1).max(initial=0.0) > 1e-4:
                 yield f"step {k}: {what} holds a quaternion that is not of length 1"
+        if step.source is not None and abs(np.linalg.norm(step.source[3:]) - 1) > 1e-4:
+            yield f"step {k}: source holds a quaternion that is not of length 1"
         arrays, long = list(vars(step.samples).values()), len(step.samples.time)
         if [array.shape for array in arrays] != [(long,), (long, n), (long, n), (long,), (long,)]:
             yield f"step {k}: its samples differ in number"
