@@ -28,7 +28,7 @@ from learn2assemble.motion.places import PickPlace
 from learn2assemble.motion.program import Program, make_program
 from learn2assemble.motion.record import BuildRecord
 from learn2assemble.motion.settings import SLOWEST_SHARE, ProgramSettings, read_settings
-from learn2assemble.motion.waits import with_waits
+from learn2assemble.motion.waits import on_one_clock, with_waits
 from learn2assemble.registry import Registry
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.registry import ARMS
@@ -70,7 +70,8 @@ class Exported(NamedTuple):
 
     file: Path
     seconds: float
-    """How long the robot takes [s]."""
+    """How long the robot takes [s]; of a program that waits for that of another arm, without these
+    waits, which a bag of both has."""
     stretch: float
     """Largest factor by which the time of a motion was stretched to stay within the limits."""
     used: dict[str, float]
@@ -166,11 +167,12 @@ def export_program(
     shown = list(zip(made, arms, strict=True))[: 1 if both is None else 2]
     shares = [usage(one.knots, its.bounds) for one, its in shown]
     used = {name: max(share[name] for share in shares) for name in shares[0]}
+    long = made[:1] if both is None else on_one_clock((made[0], made[1]))
     told = options.get("settings")
     frame = None if told is None else told.base_frame
     return Exported(
         file,
-        max(one.seconds for one, _ in shown),
+        max(one.seconds for one in long),
         max(one.stretch for one, _ in shown),
         used,
         tuple(place for one, _ in shown for place in one.places),
