@@ -145,6 +145,10 @@ def check_programs_with_hands(plan: Plan, folder: Path) -> None:
     for one in on_one_clock(programs):
         assert (np.diff(one.knots.time) > 0).all()
     assert [w.hands for one in programs for w in one.waits if w.hands]
+    # Both say how large the post is and where it stands, and nothing else stands there.
+    for one in programs:
+        assert [stood.name for stood in one.stands if stood.by_hand] == [asked[0][1].name]
+        assert len(one.stands) == 1
     # Files say the same.
     plan.save(folder)
     for number, program in enumerate(programs, 1):

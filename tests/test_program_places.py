@@ -26,7 +26,7 @@ from learn2assemble.motion.driver import arm_of
 from learn2assemble.motion.files import read_record, record_data, record_from, write_record
 from learn2assemble.motion.places import half_turn, put_turn, ranges, step_numbers, supplied
 from learn2assemble.motion.program import Program, Supply, make_program
-from learn2assemble.motion.record import BuildRecord
+from learn2assemble.motion.record import BuildRecord, ByHand
 from learn2assemble.motion.settings import ProgramSettings
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm
@@ -187,6 +187,36 @@ def test_places_are_where_blocks_are_meant_to_wait_whatever_was_read(
         assert one.turn == pytest.approx(other.turn, abs=1e-3)
     waits = [step.before[step.cells[0], :3] - np.array(step.source)[:3] for step in record.steps]
     assert 1e-5 < np.abs(waits).max() < 0.003  # Else nothing was tested.
+
+
+def test_what_else_has_to_stand_there_is_told(tmp_path: Path) -> None:
+    """What is in no place and stands from the start, and what hands set, with size and pose."""
+    record = arm_record("ur5e", 4, failures=False)
+    post = record.steps[0].before[0].round(6)
+    names = tuple(f"n{k}" for k in range(record.num_cells))
+    stands = replace(record, names=names, kinds=("k",) * record.num_cells)
+    hands = (ByHand(1, (0,), "n0", True, 1.0, (tuple(post.tolist()),)),)
+    below = np.where(np.arange(record.num_cells)[:, None] == 0, [0.0, 0.0, 1.0, *4 * [0.0]], 0.0)
+    hidden = [replace(s, before=s.before - below, after=s.after - below) for s in record.steps]
+    set_by_hand = replace(stands, steps=tuple(hidden), hands=hands)
+    write_record(set_by_hand, tmp_path / "hand.json")
+    assert read_record(tmp_path / "hand.json").hands == hands
+    for made, title in ((stands, "Stands there from the start"), (set_by_hand, "Set by hand")):
+        (found,) = supplied(made).stands
+        assert (found.name, found.by_hand) == ("n0", made is set_by_hand)
+        assert np.allclose(found.centre, post[:3], atol=2e-6)
+        assert np.allclose(found.size, record.block_edge)
+        done = export_program(made, "urscript", tmp_path / f"{found.by_hand}.script")
+        told = about(done.file.read_text())
+        edge, (x, y, z) = 1000 * record.block_edge, 1000 * post[:3] + 0.0
+        assert f"{title}:\n  n0 (k): {edge:.1f} x {edge:.1f} x {edge:.1f} mm" in told
+        assert f"in the world: x {x:.1f}, y {y:.1f}, z {z:.1f}, turn" in told.split(title)[1]
+        assert done.stands.startswith("what else stands there: 1 ")
+        head = export_program(made, "csv", tmp_path / f"{found.by_hand}.csv").file.read_text()
+        (line,) = (one for one in head.splitlines() if one.startswith("# stands: "))
+        (told_so,) = json.loads(line[10:])
+        assert (told_so["name"], told_so["by_hand"]) == (found.name, found.by_hand)
+        assert np.allclose(told_so["world"]["centre"], found.centre)
 
 
 def test_sides_of_a_square_are_equal_as_far_as_they_are_told_apart() -> None:

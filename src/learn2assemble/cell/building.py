@@ -324,7 +324,8 @@ class Building:
         k, world = action.block, self.world
         number = len(self.known.done) + 1
         what = "remove" if world.state[k] == STANDING else "place"
-        self.recording.by_hand(k, what == "place", self.stood)
+        there = action.goal if what == "place" else world.pose[k]
+        self.recording.by_hand(k, what == "place", self.stood, there)
         drawn = world.drawn(k)
         drawn[:3] += action.goal[:3] - world.target(k)[:3]
         self._ask(what, k, drawn)

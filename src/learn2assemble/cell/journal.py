@@ -178,11 +178,21 @@ class Recording:
         self.taken = {k: self.world.pose[k].copy() for k in pieces}
         self.sync()
 
-    def by_hand(self, k: int, place: bool, stood: float) -> None:
-        """A block is about to be placed or taken away by hand; so long the arm has stood since its
-        last motion [s]."""
-        made, cells, name = self.recorder, self.cells[self.body[k]], self.world.pieces[k].id
-        self.hands.append(ByHand(len(made.steps), cells, name, place, made.now + stood))
+    def by_hand(self, k: int, place: bool, stood: float, pose: np.ndarray) -> None:
+        """A block is about to be placed or taken away by hand.
+
+        Args:
+            k: its piece.
+            place: whether it is placed.
+            stood: so long the arm has stood since its last motion [s].
+            pose: float64[7]: where it is to stand, or stands.
+        """
+        made, piece, turn = self.recorder, self.world.pieces[k], quaternion_matrix(pose[3:])
+        cells = self.cells[self.body[k]]
+        at = [[*(pose[:3] + turn @ np.array(one.centre)), *pose[3:]] for one in piece.shape]
+        poses = tuple(map(tuple, np.round(at, 6).tolist()))
+        hand = ByHand(len(made.steps), cells, piece.id, place, made.now + stood, poses)
+        self.hands.append(hand)
 
     def sync(self) -> None:
         """The record has all cells there are now, and they are where they are now."""
@@ -266,9 +276,7 @@ class Recording:
             self.recorder.take(_unpacked(step))
         self.body, self.like = state["body"], state["like"]
         self.cells = [tuple(c) for c in state["cells"]]
-        self.hands = [
-            ByHand(after, tuple(cells), *others) for after, cells, *others in state["hands"]
-        ]
+        self.hands = [*map(ByHand.read, state["hands"])]
         self.sync()
 
     def record(self) -> BuildRecord:

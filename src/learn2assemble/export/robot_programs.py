@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from learn2assemble.assembly.files import read_assembly
 from learn2assemble.errors import InputError, check_name, look_up, printable
 from learn2assemble.export.formats import file_at
-from learn2assemble.export.place_words import place_rows
+from learn2assemble.export.place_words import place_rows, stands_words
 from learn2assemble.export.robot_tables import read_table, write_franka, write_table
 from learn2assemble.export.ros2 import is_bag, read_bag, write_bag
 from learn2assemble.export.urscript import write_urscript
@@ -82,6 +82,8 @@ class Exported(NamedTuple):
     """Share of the planned speed at which the program begins; ``seconds`` are of all of it."""
     rows: tuple[tuple[str, ...], ...] = ()
     """The places as a table, below :data:`~.place_words.PLACE_HEAD`."""
+    stands: str = ""
+    """How much else has to stand there, from the start or by hand, in words; empty: nothing."""
     waits: int | None = None
     """How often one arm waits for the other one in it; None: there is one arm."""
 
@@ -178,6 +180,7 @@ def export_program(
         tuple(place for one, _ in shown for place in one.places),
         1.0 if told is None else told.speed_factor,
         tuple(row for one, its in shown for row in place_rows(one, its, frame)),
+        stands_words(program),
         sum(len(one.waits) for one, _ in shown) if len(made) == 2 else None,
     )
 

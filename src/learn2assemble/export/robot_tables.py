@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from learn2assemble.errors import InputError
-from learn2assemble.export.place_words import places_data
+from learn2assemble.export.place_words import places_data, stands_data
 from learn2assemble.files import read_bytes, write_file
 from learn2assemble.geometry.hulls import Hull, hull_of
 from learn2assemble.geometry.rotations import quaternion_matrix
@@ -89,6 +89,7 @@ def header(program: Program, arm: Arm) -> dict[str, Any]:
             **({"names": blocks.names, "kinds": blocks.kinds} if blocks.names else {}),
         },
         "places": places_data(program, arm),
+        **({"stands": stands_data(program, arm)} if program.stands else {}),
         **(_waits(program) if program.of_two else {}),
         "hands": [hand._asdict() | {"time": round(time, 6)} for hand, time in program.asks],
         "steps": [

@@ -72,7 +72,7 @@ def record_data(record: BuildRecord) -> dict[str, Any]:
     }
     del data["studs"]
     # Older versions did not tell when.
-    data["hands"] = [one if one[-1] is not None else one[:-1] for one in data["hands"]]
+    data["hands"] = [one if one[4] is not None else one[:4] for one in data["hands"]]
     for key in ("names", "kinds"):
         if not data[key]:
             del data[key]
@@ -110,12 +110,7 @@ def record_from(data: Any) -> BuildRecord:
             None if data["half"] is None else _array("half", data["half"], (count, 3)),
             None if data["density"] is None else _array("density", data["density"], (count,)),
             None if data["hull"] is None else tuple(map(_hull_from, data["hull"])),
-            tuple(
-                ByHand(
-                    int(after), tuple(map(int, cells)), str(name), place is True, *map(float, at)
-                )
-                for after, cells, name, place, *at in data["hands"]
-            ),
+            tuple(map(ByHand.read, data["hands"])),
             None if data.get("studs") is None else studs_from(data["studs"], count),
             *(_words_from(data, key, len(objects)) for key in ("names", "kinds")),
         )

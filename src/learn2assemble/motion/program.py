@@ -25,7 +25,7 @@ from learn2assemble.geometry.rotations import (
     quaternion_matrix,
 )
 from learn2assemble.motion.knots import REST, Knots, fit, slow_down
-from learn2assemble.motion.places import Pick, PickPlace, name_of, step_numbers, supplied
+from learn2assemble.motion.places import Pick, PickPlace, Stands, name_of, step_numbers, supplied
 from learn2assemble.motion.record import (
     BuildRecord,
     ByHand,
@@ -206,6 +206,8 @@ class Program:
     """Of a build by two, when the robot begins to wait for each of these [s]."""
     places: tuple[PickPlace, ...] = ()
     """Where its blocks are taken from; not told by a program that was read from a file."""
+    stands: tuple[Stands, ...] = ()
+    """What else has to stand there; not told, as the places."""
     recorded: np.ndarray | None = None
     """float64[k]: when the build was where a knot is [s]; not told, as the places."""
     waits: tuple[Wait, ...] = ()
@@ -342,7 +344,9 @@ def _as_planned(program: Program, record: BuildRecord) -> Program:
         kinds = tuple(record.kinds[owner[k]] if record.kinds else "" for k in cells)
         blocks = blocks._replace(names=tuple(name_of(record, k) for k in cells), kinds=kinds)
     step = numbers[program.step - 1]
-    return replace(program, step=step, steps=steps, blocks=blocks, places=told.places)
+    return replace(
+        program, step=step, steps=steps, blocks=blocks, places=told.places, stands=told.stands
+    )
 
 
 def _stopped(samples: Samples, number: np.ndarray, period: float) -> tuple[Samples, np.ndarray]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -146,6 +146,20 @@ class ByHand(NamedTuple):
     """It is placed, rather than taken away."""
     time: float | None = None
     """When, on the clock of the record, which two arms share [s]; None: not told."""
+    poses: tuple[tuple[float, ...], ...] = ()
+    """Where its cells are then: x, y, z [m, world], quaternion (w, x, y, z); empty: not told."""
+
+    @classmethod
+    def read(cls, told: Sequence[Any]) -> ByHand:
+        """From a list of the fields, of which older files have fewer.
+
+        Raises:
+            TypeError, ValueError: for what is none.
+        """
+        after, cells, name, place, *more = told
+        time = None if not more else float(more[0])
+        poses = tuple(tuple(map(float, pose)) for pose in (more[1] if more[1:] else ()))
+        return cls(int(after), tuple(map(int, cells)), str(name), place is True, time, poses)
 
     @property
     def words(self) -> str:
@@ -272,6 +286,9 @@ def _structure(record: BuildRecord) -> Iterator[str]:
             yield f"hands: cells {list(hand.cells)} after step {hand.after} are none of the build"
         if hand.time is not None and not np.isfinite(hand.time):
             yield f"hands: {hand.words} at {hand.time:g} s"
+        shapes = [len(pose) == 7 and bool(np.isfinite(pose).all()) for pose in hand.poses]
+        if len(shapes) not in (0, len(hand.cells)) or not all(shapes):
+            yield f"hands: {hand.words}: not 7 numbers for each of {len(hand.cells)} cells"
     for k, step in enumerate(record.steps, 1):
         if step.number != k:
             yield f"step {step.number}: should have number {k}"

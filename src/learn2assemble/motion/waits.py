@@ -83,10 +83,19 @@ def with_waits(programs: tuple[Program, Program], arms: tuple[Arm, Arm]) -> tupl
     one, other = (tuple(arm.base_position.tolist()) for arm in arms)
     mine = tuple(_waits(parts[0], parts[1], before=one < other))
     others = tuple(_waits(parts[1], parts[0], before=one >= other))
-    return (
+    made = (
         replace(first, waits=mine, awaited=tuple(wait.other for wait in others)),
         replace(second, waits=others, awaited=tuple(wait.other for wait in mine)),
     )
+    return _with_stands(made[0], second), _with_stands(made[1], first)
+
+
+def _with_stands(program: Program, other: Program) -> Program:
+    """A program that says of the other one's posts, and nothing of what that takes from places."""
+    posts = tuple(one for one in other.stands if one.by_hand)
+    come = {name for place in other.places for name in place.blocks} | {one.name for one in posts}
+    stands = tuple(one for one in program.stands if one.by_hand or one.name not in come)
+    return replace(program, stands=stands + posts)
 
 
 def _with_halts(program: Program) -> Program:
