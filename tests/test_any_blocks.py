@@ -511,6 +511,9 @@ def test_a_urscript_waits_for_what_is_done_by_hand(arch: Plan, tmp_path: Path) -
     lines = [line.strip() for line in (tmp_path / "arch.script").read_text().splitlines()]
     waits = [line for line in lines if line.startswith('popup("by hand')]
     assert len(waits) == len(plan.record.hands)
+    # That is all it asks for: no arm has put down what only a hand takes away.
+    assert any(not hand.place for hand in plan.record.hands)
+    assert not [line for line in lines if line.startswith("l2a_wait_until_taken(")]
     for hand, line in zip(plan.record.hands, waits, strict=True):
         assert hand.words in line
         assert "blocking=True" in line

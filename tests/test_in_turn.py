@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 import runpy
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -40,6 +42,7 @@ from learn2assemble.cell.team import plan_by_team, set_up_team
 from learn2assemble.cell.workcell import Workcell
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
+from learn2assemble.export.robot_programs import export_program, read_program
 from learn2assemble.geometry.hulls import box_hull, hull_of
 from learn2assemble.geometry.rotations import (
     matrix_quaternion,
@@ -47,7 +50,10 @@ from learn2assemble.geometry.rotations import (
     rotation_of,
     yaw_matrix,
 )
+from learn2assemble.motion.driver import arm_of
 from learn2assemble.motion.plant import Guard, Motion, ToolReading
+from learn2assemble.motion.program import make_program
+from learn2assemble.motion.waits import BY_HAND, on_one_clock, with_waits
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.sequence import Supports
 from learn2assemble.robot.arm import get_arm
@@ -61,6 +67,7 @@ from learn2assemble.simulation.execution import Execution
 from learn2assemble.simulation.model import TIMESTEP, compile_world
 from learn2assemble.statics.block_forces import System
 from learn2assemble.statics.states import State
+from test_together import asynchronous
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "structures"
 ARMS = SiteArm("one", "panda"), SiteArm("two", "panda")
@@ -88,7 +95,7 @@ def built(planned: tuple[Plan, list[Member]]) -> Plan:
 
 
 def test_while_somebody_sets_posts_one_arm_works_after_the_other(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Where hands hold nothing, a post stands under the beam until the stone has come."""
     monkeypatch.setattr(team, "Supports", lambda **told: Supports(**{**told, "holds": 0}))
@@ -102,6 +109,62 @@ def test_while_somebody_sets_posts_one_arm_works_after_the_other(
     ]
     times = [record.spans() for record in done.records]
     assert sum(len(one) for one in times) == 3
+    check_programs_with_hands(done, tmp_path)
+
+
+def check_programs_with_hands(plan: Plan, folder: Path) -> None:
+    """However late one arm is, what is done by hand comes when its turn is."""
+    arms = [arm_of(record.arm) for record in plan.records]
+    made = [make_program(*one) for one in zip(plan.records, arms, strict=True)]
+    programs = with_waits((made[0], made[1]), (arms[0], arms[1]))
+    asked = [(who, *ask) for who, one in enumerate(programs) for ask in one.asks]
+    by_hand = [number for number, step in enumerate(plan.steps, 1) if step.by_hand]
+    assert len(asked) == len(by_hand) == 2
+
+    def comes_to(who: int, other: float) -> float:
+        """How far an arm comes while the other one stands at a time of its program."""
+        waits = programs[who].waits
+        return min([w.time for w in waits if w.other > other + 1e-9], default=np.inf)
+
+    for number, (who, hand, halt) in zip(by_hand, asked, strict=True):
+        assert plan.steps[number - 1].action == ("place" if hand.place else "remove")
+        for arm, program in enumerate(programs):
+            for k, step in enumerate(program.steps):
+                assert step.plan_step is not None
+                assert step.held is not None
+                begin = program.steps[k - 1].end if k else 0.0
+                if arm == who:
+                    assert step.held[1] < halt if step.plan_step < number else step.held[0] > halt
+                elif step.plan_step < number:
+                    assert comes_to(who, step.held[1]) <= halt
+                    assert comes_to(who, program.seconds) > halt
+                else:
+                    assert comes_to(arm, halt) <= step.held[0]
+                    assert comes_to(arm, halt + BY_HAND) > begin
+    assert asynchronous(programs, arms, 0) > 0
+    for one in on_one_clock(programs):
+        assert (np.diff(one.knots.time) > 0).all()
+    assert [w.hands for one in programs for w in one.waits if w.hands]
+    # Both say how large the post is and where it stands, and nothing else stands there.
+    for one in programs:
+        assert [stood.name for stood in one.stands if stood.by_hand] == [asked[0][1].name]
+        assert len(one.stands) == 1
+    # Files say the same.
+    plan.save(folder)
+    for number, program in enumerate(programs, 1):
+        file = export_program(folder / f"trajectory-{number}.json", "csv", folder / "t.csv").file
+        (told,) = (x for x in file.read_text().splitlines() if x.startswith("# hands: "))
+        assert [one["time"] for one in json.loads(told[9:])] == [
+            pytest.approx(time) for _, time in program.asks
+        ]
+        assert read_program(file, "panda")[0].waits[0].hands == program.waits[0].hands
+        file.unlink()
+    records = [
+        replace(one, hands=tuple(hand._replace(time=None) for hand in one.hands))
+        for one in plan.records
+    ]
+    with pytest.raises(InputError, match="by hand without times"):
+        export_program((records[0], records[1]), "csv", folder / "t.csv")
 
 
 def test_without_its_hold_the_beam_falls(

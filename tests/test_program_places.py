@@ -4,6 +4,7 @@ how fast it goes."""
 from __future__ import annotations
 
 import json
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -22,10 +23,10 @@ from learn2assemble.export.robot_programs import export_program, read_program, r
 from learn2assemble.export.urscript import planned_frame, write_urscript
 from learn2assemble.geometry.rotations import quaternion_product, yaw_quaternion
 from learn2assemble.motion.driver import arm_of
-from learn2assemble.motion.files import read_record, record_data, record_from
+from learn2assemble.motion.files import read_record, record_data, record_from, write_record
 from learn2assemble.motion.places import half_turn, put_turn, ranges, step_numbers, supplied
 from learn2assemble.motion.program import Program, Supply, make_program
-from learn2assemble.motion.record import BuildRecord
+from learn2assemble.motion.record import BuildRecord, ByHand
 from learn2assemble.motion.settings import ProgramSettings
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm
@@ -166,6 +167,65 @@ def test_blocks_on_places_of_their_own_need_no_refill(tmp_path: Path) -> None:
     assert not [line for line in called if line.startswith(("l2a_wait_for", "l2a_resumed"))]
     assert "nothing to refill" in about(text)
     assert "REFILL" not in text
+
+
+def test_places_are_where_blocks_are_meant_to_wait_whatever_was_read(
+    made: tuple[Program, Arm], tmp_path: Path
+) -> None:
+    """Readings that are off neither move a place nor turn it, and make no two of one."""
+    workcell = Workcell("ur5e", "suction", noise=(5e-4, math.radians(0.2)))
+    done = carry_out(planned(wall(7, 1, 3)), workcell)
+    assert done.complete, done.reason
+    assert done.record is not None
+    write_record(done.record, tmp_path / "trajectory.json")
+    record = read_record(tmp_path / "trajectory.json")
+    exact, found = made[0].places, supplied(record).places
+    assert [one.blocks for one in found] == [one.blocks for one in exact]
+    for one, other in zip(found, exact, strict=True):
+        assert np.abs(one.centre - other.centre).max() < 1e-4
+        assert np.abs(one.size - other.size).max() < 1e-4
+        assert one.turn == pytest.approx(other.turn, abs=1e-3)
+    waits = [step.before[step.cells[0], :3] - np.array(step.source)[:3] for step in record.steps]
+    assert 1e-5 < np.abs(waits).max() < 0.003  # Else nothing was tested.
+
+
+def test_what_else_has_to_stand_there_is_told(tmp_path: Path) -> None:
+    """What is in no place and stands from the start, and what hands set, with size and pose."""
+    record = arm_record("ur5e", 4, failures=False)
+    post = record.steps[0].before[0].round(6)
+    names = tuple(f"n{k}" for k in range(record.num_cells))
+    stands = replace(record, names=names, kinds=("k",) * record.num_cells)
+    hands = (ByHand(1, (0,), "n0", True, 1.0, (tuple(post.tolist()),)),)
+    below = np.where(np.arange(record.num_cells)[:, None] == 0, [0.0, 0.0, 1.0, *4 * [0.0]], 0.0)
+    hidden = [replace(s, before=s.before - below, after=s.after - below) for s in record.steps]
+    set_by_hand = replace(stands, steps=tuple(hidden), hands=hands)
+    write_record(set_by_hand, tmp_path / "hand.json")
+    assert read_record(tmp_path / "hand.json").hands == hands
+    for made, title in ((stands, "Stands there from the start"), (set_by_hand, "Set by hand")):
+        (found,) = supplied(made).stands
+        assert (found.name, found.by_hand) == ("n0", made is set_by_hand)
+        assert np.allclose(found.centre, post[:3], atol=2e-6)
+        assert np.allclose(found.size, record.block_edge)
+        done = export_program(made, "urscript", tmp_path / f"{found.by_hand}.script")
+        told = about(done.file.read_text())
+        edge, (x, y, z) = 1000 * record.block_edge, 1000 * post[:3] + 0.0
+        assert f"{title}:\n  n0 (k): {edge:.1f} x {edge:.1f} x {edge:.1f} mm" in told
+        assert f"in the world: x {x:.1f}, y {y:.1f}, z {z:.1f}, turn" in told.split(title)[1]
+        assert done.stands.startswith("what else stands there: 1 ")
+        head = export_program(made, "csv", tmp_path / f"{found.by_hand}.csv").file.read_text()
+        (line,) = (one for one in head.splitlines() if one.startswith("# stands: "))
+        (told_so,) = json.loads(line[10:])
+        assert (told_so["name"], told_so["by_hand"]) == (found.name, found.by_hand)
+        assert np.allclose(told_so["world"]["centre"], found.centre)
+
+
+def test_sides_of_a_square_are_equal_as_far_as_they_are_told_apart() -> None:
+    record = arm_record("ur5e", 2, failures=False)
+    half = np.full((record.num_cells, 3), record.block_edge / 2)
+    for wide, turn in ((2e-5, 0.0), (1e-3, np.pi / 2)):
+        half[:, 1] = (record.block_edge + wide) / 2
+        place = supplied(replace(record, half=half)).places[0]
+        assert place.turn - half_turn(turn) == pytest.approx(0.0, abs=1e-3), wide
 
 
 def test_a_block_that_was_tried_twice_is_one_block() -> None:

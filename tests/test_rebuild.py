@@ -358,6 +358,14 @@ def test_an_arm_turns_one_structure_into_another() -> None:
     assert done.coverage == 1
     check_states(done)
     assert {block.id for block in standing(done).finished.blocks} == {"0-2/0", "0-2/1"}
+    # The record has every block where it was before its step, also that of the first one.
+    assert done.record is not None
+    for step in done.record.steps:
+        assert np.abs(step.before[step.cells[0]] - step.after[step.cells[0]]).max() > 0.01
+    was = {block.id: block.vertices.mean(0) for block in standing(old).blocks}
+    first = done.record.steps[0]
+    name = done.record.names[[cells[0] for cells in done.record.objects].index(first.cells[0])]
+    assert np.abs(first.before[first.cells[0], :3] - was[name]).max() < 1e-3
 
 
 def test_what_leaves_and_comes_back_is_any_block_of_its_kind_for_an_arm() -> None:

@@ -38,9 +38,10 @@ from learn2assemble.motion.driver import driver_of
 from learn2assemble.motion.files import write_record
 from learn2assemble.motion.knots import Knots, fit, slow_down, usage
 from learn2assemble.motion.program import Program, Wait, make_program, motions
-from learn2assemble.motion.record import BuildRecord, find_fault
+from learn2assemble.motion.record import BuildRecord, ByHand, find_fault
 from learn2assemble.motion.recorder import BuildRecorder, CellShapes, upright
 from learn2assemble.motion.settings import ProgramSettings, ToolOutput
+from learn2assemble.motion.waits import BY_HAND
 from learn2assemble.robot.arm import Arm, Limits, arm_model, get_arm
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.kinematics import forward, get_chain
@@ -681,6 +682,45 @@ def test_urscript_waits_for_the_other_arm(suction_build: BuildRecord, tmp_path: 
     moves = [[line for line in one.splitlines() if "movej" in line] for one in (text, alone)]
     assert moves[0] == moves[1]
     assert "register" not in alone
+
+
+def test_urscript_of_two_asks_by_hand_when_the_other_arm_has_come_so_far(
+    suction_build: BuildRecord, tmp_path: Path
+) -> None:
+    """It waits, asks, and tells what it asked for; what the other program asks for it mentions."""
+    arm = get_arm("ur5e", "suction")
+    program = make_program(suction_build, arm)
+    later, end = program.steps[0].end, program.seconds
+    hands = tuple(
+        ByHand(*one)
+        for one in (
+            (1, (3,), "post", True, later),
+            (1, (3,), "wedge", True, later),
+            (2, (3,), "post", False, end),
+        )
+    )
+    waits = Wait(later, 3.0, 1), Wait(later + 5.0, 7.0, 2, ("by hand: place prop",))
+    waits = *waits, Wait(end, 9.0, 3)
+    two = dataclasses.replace(
+        program,
+        hands=hands,
+        halts=(later, later + BY_HAND, end),
+        waits=waits,
+        awaited=(1.0, later + BY_HAND, later + 2 * BY_HAND, end + BY_HAND),
+    )
+    write_urscript(two, arm, tmp_path / "two.script")
+    text = (tmp_path / "two.script").read_text()
+    UrScript(text)
+    body = text[text.index("  l2a_meet()\n") :]
+    words = re.findall(r"l2a_done\(\d\)|l2a_await\(\d\)|popup\(\"by hand: [a-z ]+|# step \d", body)
+    assert words == [
+        *("# step 1", "l2a_done(1)", "# step 2", "l2a_done(1)"),
+        *("l2a_await(1)", 'popup("by hand: place post', "l2a_done(2)"),
+        *('popup("by hand: place wedge', "l2a_done(3)", "l2a_await(2)"),
+        *("l2a_await(3)", 'popup("by hand: take away post', "l2a_done(4)"),
+    ]
+    assert "# by hand: place prop: the other program asks for it\n" in body
+    assert "  by hand: place prop, before step 2 goes on: the other program asks for it" in text
 
 
 def payloads(script: str) -> list[tuple[float, list[float]]]:

@@ -649,6 +649,8 @@ def test_a_bag_has_both_arms_on_one_clock(
         told = [time for topic, time, _ in found if topic == f"/{name}/joint_trajectory"]
         begins = [round(1e9 * program.knots.time[a]) for a, _ in motions(program)]
         assert told == begins
+    last = max(time for topic, time, _ in found if topic.endswith("/joint_states"))
+    assert bag.seconds == pytest.approx(last / 1e9)
     frames = {t.child_frame_id for topic, _, m in found if topic[:3] == "/tf" for t in m.transforms}
     assert {"ur5e/tcp", "panda/tcp", "ur5e/base", "panda/panda_link0", "cell_0"} <= frames
     with pytest.raises(InputError, match="the programs of two arms"):

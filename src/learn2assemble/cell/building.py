@@ -34,6 +34,7 @@ from learn2assemble.cell.world import (
     rows_of,
     supply_of,
 )
+from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.checked import Checked
 from learn2assemble.motion.plant import Plant, PlantError, Request, Stop, standing
 from learn2assemble.motion.recorder import StepMotion
@@ -51,6 +52,8 @@ ASIDE = ("away", "attach")
 """Actions that are no step of a plan."""
 GONE = 0.02
 """A block farther from its place than this is not in its place any more [m]."""
+AT_SOURCE = 0.005
+"""A block that is seen no farther from where it is meant to wait does so [m]."""
 SAME_JOINTS = 1e-3
 """Drives stray by less from where they were told to be [rad]."""
 PAUSED = "paused"
@@ -220,7 +223,8 @@ class Building:
             return False
         if presented and action.source is not None:
             world.used[action.source] += 1
-        self.recording.sync()  # What was presented or taken in has moved during the last attempt.
+        # What was presented or taken in has moved during the last attempt.
+        self.recording.takes((k, *action.group))
         for n in action.group:
             self._ask("join", n, world.pose[n], world.names[k])
         lost: PlantError | None = None
@@ -233,6 +237,7 @@ class Building:
         except PlantError as error:
             lost, came = error, self._interrupted(rows, move, k, error)
         if came.yields:
+            self.recording.taken.clear()
             if presented and action.source is not None:
                 world.used[action.source] -= 1
                 self._take_back(k)
@@ -319,7 +324,8 @@ class Building:
         k, world = action.block, self.world
         number = len(self.known.done) + 1
         what = "remove" if world.state[k] == STANDING else "place"
-        self.recording.by_hand(k, what == "place")
+        there = action.goal if what == "place" else world.pose[k]
+        self.recording.by_hand(k, what == "place", self.stood, there)
         drawn = world.drawn(k)
         drawn[:3] += action.goal[:3] - world.target(k)[:3]
         self._ask(what, k, drawn)
@@ -521,6 +527,7 @@ class Building:
 
     def _record(self, action: Action, rows: Rows, move: Move, came: Came) -> None:
         """Append an attempt to the record of the build."""
+        self.recording.taken.clear()
         if not self.recorded:
             return
         recorder, scene = self.recording.recorder, rows.scene
@@ -546,7 +553,25 @@ class Building:
             outcome=came.outcome,
             detail=came.detail,
             motion=motion,
+            source=self._source(action, rows, move),
         )
+
+    def _source(self, action: Action, rows: Rows, move: Move) -> np.ndarray | None:
+        """float64[7]: where the cell that is grasped is meant to wait, if its block is there; None
+        where it is seen exactly, or is meant to be nowhere."""
+        k, world = action.block, self.world
+        if not world.spread.any() or action.what not in ("place", "remove"):
+            return None
+        pose = world.drawn(k)
+        if action.what == "place":
+            source = world.magazine(k) if action.source is None else action.source
+            if source is None:
+                return None
+            pose = world.presented(k, source)
+        centre = np.array(world.pieces[k].shape[int(rows.part[move.cell])].centre)
+        place = pose[:3] + quaternion_matrix(pose[3:]) @ centre
+        near = np.linalg.norm(rows.scene.position[move.cell] - place) < AT_SOURCE
+        return np.array([*place, *pose[3:]]) if near else None
 
     # ------------------------------------------------------------ going on after an interruption
 

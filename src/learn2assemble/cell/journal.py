@@ -11,7 +11,7 @@ import base64
 import dataclasses
 import json
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -114,7 +114,8 @@ def last_joints(step: dict[str, Any] | None) -> np.ndarray | None:
 
 def _unpacked(value: dict[str, Any]) -> StepRecord:
     samples = Samples(**{name: _array(array) for name, array in value["samples"].items()})
-    arrays = {name: _array(value[name]) for name in ("target", "before", "after")}
+    told = ("target", "before", "after", "source")
+    arrays = {name: _array(value[name]) for name in told if value.get(name) is not None}
     fields: dict[str, Any] = {
         **value,
         **arrays,
@@ -156,19 +157,50 @@ class Recording:
         self.obstacles: list[Obstacle] = [one for one in self.job.obstacles if not one.aside]
         self.fixed: list[int] = [sum(map(len, self.cells)) + n for n in range(len(self.obstacles))]
         self.hands: list[ByHand] = []
-        self.begin(joints, 0.0)
+        self.taken: dict[int, np.ndarray] = {}
+        """float64[7] of each piece of the attempt that is under way: where it was when that
+        began."""
+        self._start(joints, 0.0, *self._there())
 
     def begin(self, joints: np.ndarray, width: float) -> None:
-        """Before the first attempt; the pads are ``width`` apart [m]."""
-        poses, objects, half, density, hull = self._there()
+        """The first attempt has been carried out, from where everything is in the record; the pads
+        were ``width`` apart [m]."""
+        made = self.recorder
+        self._start(joints, width, made.poses, made.objects, made.half, made.density, made.hull)
+
+    def _start(
+        self,
+        joints: np.ndarray,
+        width: float,
+        poses: np.ndarray,
+        objects: tuple[tuple[int, ...], ...],
+        *shapes: Any,
+    ) -> None:
         self.recorder = BuildRecorder(
-            self.job.arm, joints, width, poses, objects, self.words, CellShapes(half, density, hull)
+            self.job.arm, joints, width, poses, objects, self.words, CellShapes(*shapes)
         )
 
-    def by_hand(self, k: int, place: bool) -> None:
-        """A block is about to be placed or taken away by hand."""
-        cells, name = self.cells[self.body[k]], self.world.pieces[k].id
-        self.hands.append(ByHand(len(self.recorder.steps), cells, name, place))
+    def takes(self, pieces: Sequence[int]) -> None:
+        """An attempt with these pieces is about to begin: until it is in the record, they are there
+        where they are now, whatever is seen of them meanwhile."""
+        self.taken = {k: self.world.pose[k].copy() for k in pieces}
+        self.sync()
+
+    def by_hand(self, k: int, place: bool, stood: float, pose: np.ndarray) -> None:
+        """A block is about to be placed or taken away by hand.
+
+        Args:
+            k: its piece.
+            place: whether it is placed.
+            stood: so long the arm has stood since its last motion [s].
+            pose: float64[7]: where it is to stand, or stands.
+        """
+        made, piece, turn = self.recorder, self.world.pieces[k], quaternion_matrix(pose[3:])
+        cells = self.cells[self.body[k]]
+        at = [[*(pose[:3] + turn @ np.array(one.centre)), *pose[3:]] for one in piece.shape]
+        poses = tuple(map(tuple, np.round(at, 6).tolist()))
+        hand = ByHand(len(made.steps), cells, piece.id, place, made.now + stood, poses)
+        self.hands.append(hand)
 
     def sync(self) -> None:
         """The record has all cells there are now, and they are where they are now."""
@@ -191,7 +223,8 @@ class Recording:
         count = sum(map(len, self.cells)) + len(self.fixed)
         halves, densities, poses = np.empty((count, 3)), np.empty(count), np.zeros((count, 7))
         hulls: list[Hull | None] = [None] * count
-        for body, piece, pose in zip(self.body, self.world.pieces, self.world.pose, strict=True):
+        for k, (body, piece) in enumerate(zip(self.body, self.world.pieces, strict=True)):
+            pose = self.taken.get(k, self.world.pose[k])
             turn = quaternion_matrix(pose[3:])
             for cell, part in zip(self.cells[body], piece.shape, strict=True):
                 halves[cell], hulls[cell] = part.half, part.hull
@@ -251,9 +284,7 @@ class Recording:
             self.recorder.take(_unpacked(step))
         self.body, self.like = state["body"], state["like"]
         self.cells = [tuple(c) for c in state["cells"]]
-        self.hands = [
-            ByHand(after, tuple(cells), name, place) for after, cells, name, place in state["hands"]
-        ]
+        self.hands = [*map(ByHand.read, state["hands"])]
         self.sync()
 
     def record(self) -> BuildRecord:

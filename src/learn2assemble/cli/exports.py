@@ -88,6 +88,8 @@ def _export_program(options: argparse.Namespace, output: Output) -> None:
     )
     if done.rows:
         output.table("blocks are taken from", PLACE_HEAD, done.rows)
+    if done.stands:
+        output.say(done.stands)
     used = ", ".join(f"{name} {100 * share:.0f} %" for name, share in done.used.items())
     output.say(f"{options.format}: {done.file}")
     output.say(f"{done.seconds:.1f} s, of the limits at most {used}")

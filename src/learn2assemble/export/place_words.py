@@ -14,7 +14,7 @@ import numpy as np
 
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
 from learn2assemble.motion.driver import driver_of
-from learn2assemble.motion.places import PickPlace, half_turn, ranges
+from learn2assemble.motion.places import PickPlace, Stands, half_turn, ranges
 from learn2assemble.motion.program import Program
 from learn2assemble.motion.settings import ProgramSettings
 from learn2assemble.robot.arm import Arm, get_arm
@@ -66,7 +66,6 @@ def in_base(program: Program, arm: Arm, taught: tuple[float, ...] | None = None)
         taught: where the world lies there, see :func:`world_in_base`.
     """
     middle, turn = world_in_base(arm, taught)
-    yaw = math.atan2(turn[1, 0], turn[0, 0])
     found = list[InBase]()
     for place in program.places:
         tool = None
@@ -76,8 +75,7 @@ def in_base(program: Program, arm: Arm, taught: tuple[float, ...] | None = None)
                 (point,), (way,) = forward_many(get_chain(arm), q)
                 tool = np.array([*(middle + turn @ point), *matrix_quaternion(turn @ way)])
                 break
-        angle = half_turn(place.turn + yaw)
-        found.append(InBase(middle + turn @ place.centre, angle, tool))
+        found.append(InBase(*_seen_from_base(place, middle, turn), tool))
     return found
 
 
@@ -98,6 +96,40 @@ def places_data(program: Program, arm: Arm) -> list[dict[str, Any]]:
         }
         for place, base in zip(program.places, in_base(program, arm), strict=True)
     ]
+
+
+def stands_data(program: Program, arm: Arm) -> list[dict[str, Any]]:
+    """What else has to stand there as JSON says it: metres, radians."""
+    return [
+        {
+            "name": one.name,
+            "kind": one.kind,
+            "size": one.size,
+            "mass": round(one.mass, 6) if one.name else None,
+            "by_hand": one.by_hand,
+            "world": {"centre": one.centre, "turn": round(one.turn, 6)},
+            "base": {"centre": centre, "turn": round(turn, 6)},
+        }
+        for one in program.stands
+        for centre, turn in [_seen_from_base(one, *world_in_base(arm))]
+    ]
+
+
+def _seen_from_base(
+    one: PickPlace | Stands, middle: np.ndarray, turn: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Middle float64[3] [m] and direction of the long side [rad] of what lies somewhere in the base
+    frame, in which the world is at ``middle`` float64[3], turned by ``turn`` float64[3, 3]."""
+    yaw = math.atan2(turn[1, 0], turn[0, 0])
+    return middle + turn @ one.centre, half_turn(one.turn + yaw)
+
+
+def stands_words(program: Program) -> str:
+    """How much else has to stand there, in a line; empty where nothing does."""
+    counts = [sum(one.by_hand == by_hand for one in program.stands) for by_hand in (False, True)]
+    words = (f"{counts[0]} from the start", f"{counts[1]} by hand during the build")
+    told = " and ".join(one for one, count in zip(words, counts, strict=True) if count)
+    return told and f"what else stands there: {told}"
 
 
 def _refill_words(place: PickPlace) -> str:
@@ -160,6 +192,11 @@ def preparation(
         ("Tool", _tool(program, arm, settings)),
         ("Blocks", _kinds(program)),
         ("Places blocks are taken from", _places(program, arm, settings, refill)),
+        *(
+            (title, _stands(program, arm, settings, by_hand))
+            for title, by_hand in (("Stands there from the start", False), ("Set by hand", True))
+            if any(one.by_hand == by_hand for one in program.stands)
+        ),
         ("Order", _order(program)),
         ("Start", _start(program, settings, resume)),
         ("Speed", _speed(program, settings)),
@@ -222,7 +259,7 @@ def _kinds(program: Program) -> list[str]:
     return ["  ".join(f"{w:{n}}" for w, n in zip(row, wide, strict=True)).rstrip() for row in rows]
 
 
-def size_words(place: PickPlace) -> str:
+def size_words(place: PickPlace | Stands) -> str:
     """Long side, short side and height of a block as it lies [mm]."""
     return " x ".join(f"{1000 * v:.1f}" for v in place.size)
 
@@ -247,14 +284,34 @@ def _places(program: Program, arm: Arm, settings: ProgramSettings, refill: str) 
                 f"  tool point in the base as it takes the block: {_named(base.tool[:3])},"
             )
             lines.append(f"    RPY {_turned(base.tool[3:])}")
-        if place.corners is not None and len(place.corners) <= _MOST_CORNERS:
-            lines.append("  corners of the block in the world, x y z:")
-            shown = np.round(1000 * place.corners, 1) + 0.0
-            points = [" ".join(f"{value:.1f}" for value in corner) for corner in shown]
-            lines += [f"    {'; '.join(points[k : k + 4])}" for k in range(0, len(points), 4)]
+        lines += _corners(place)
         lines.append(f"  {_refill_words(place)}")
     if any(place.refills for place in program.places):
         lines += _refilled(refill)
+    return lines
+
+
+def _corners(one: PickPlace | Stands) -> list[str]:
+    if one.corners is None or len(one.corners) > _MOST_CORNERS:
+        return []
+    shown = np.round(1000 * one.corners, 1) + 0.0
+    points = [" ".join(f"{value:.1f}" for value in corner) for corner in shown]
+    rows = [f"    {'; '.join(points[k : k + 4])}" for k in range(0, len(points), 4)]
+    return ["  corners of the block in the world, x y z:", *rows]
+
+
+def _stands(program: Program, arm: Arm, settings: ProgramSettings, by_hand: bool) -> list[str]:
+    """What stands there from the start, or is set by hand: what, how large, where."""
+    lines, frame = list[str](), world_in_base(arm, settings.base_frame)
+    for one in program.stands:
+        if one.by_hand == by_hand:
+            centre, turn = _seen_from_base(one, *frame)
+            lines += [
+                f"{one.what}: {size_words(one)} mm" + f", {1000 * one.mass:.0f} g" * bool(one.name),
+                f"  in the base:  {_named(centre)}, turn {_degrees(turn)}",
+                f"  in the world: {_named(one.centre)}, turn {_degrees(one.turn)}",
+                *_corners(one),
+            ]
     return lines
 
 
@@ -288,6 +345,10 @@ def _order(program: Program) -> list[str]:
         else f"{hand.words}, at the end"
         for hand in program.hands
     ]
+    for wait in program.waits:
+        step = next((one.number for one in program.steps if wait.time < one.end + 1e-9), None)
+        goes = "at the end" if step is None else f"before step {step} goes on"
+        found += [f"{words}, {goes}: the other program asks for it" for words in wait.hands]
     return found
 
 

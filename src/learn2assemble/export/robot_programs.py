@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from learn2assemble.assembly.files import read_assembly
 from learn2assemble.errors import InputError, check_name, look_up, printable
 from learn2assemble.export.formats import file_at
-from learn2assemble.export.place_words import place_rows
+from learn2assemble.export.place_words import place_rows, stands_words
 from learn2assemble.export.robot_tables import read_table, write_franka, write_table
 from learn2assemble.export.ros2 import is_bag, read_bag, write_bag
 from learn2assemble.export.urscript import write_urscript
@@ -28,7 +28,7 @@ from learn2assemble.motion.places import PickPlace
 from learn2assemble.motion.program import Program, make_program
 from learn2assemble.motion.record import BuildRecord
 from learn2assemble.motion.settings import SLOWEST_SHARE, ProgramSettings, read_settings
-from learn2assemble.motion.waits import with_waits
+from learn2assemble.motion.waits import on_one_clock, with_waits
 from learn2assemble.registry import Registry
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.registry import ARMS
@@ -70,7 +70,8 @@ class Exported(NamedTuple):
 
     file: Path
     seconds: float
-    """How long the robot takes [s]."""
+    """How long the robot takes [s]; of a program that waits for that of another arm, without these
+    waits, which a bag of both has."""
     stretch: float
     """Largest factor by which the time of a motion was stretched to stay within the limits."""
     used: dict[str, float]
@@ -81,6 +82,8 @@ class Exported(NamedTuple):
     """Share of the planned speed at which the program begins; ``seconds`` are of all of it."""
     rows: tuple[tuple[str, ...], ...] = ()
     """The places as a table, below :data:`~.place_words.PLACE_HEAD`."""
+    stands: str = ""
+    """How much else has to stand there, from the start or by hand, in words; empty: nothing."""
     waits: int | None = None
     """How often one arm waits for the other one in it; None: there is one arm."""
 
@@ -166,16 +169,18 @@ def export_program(
     shown = list(zip(made, arms, strict=True))[: 1 if both is None else 2]
     shares = [usage(one.knots, its.bounds) for one, its in shown]
     used = {name: max(share[name] for share in shares) for name in shares[0]}
+    long = made[:1] if both is None else on_one_clock((made[0], made[1]))
     told = options.get("settings")
     frame = None if told is None else told.base_frame
     return Exported(
         file,
-        max(one.seconds for one, _ in shown),
+        max(one.seconds for one in long),
         max(one.stretch for one, _ in shown),
         used,
         tuple(place for one, _ in shown for place in one.places),
         1.0 if told is None else told.speed_factor,
         tuple(row for one, its in shown for row in place_rows(one, its, frame)),
+        stands_words(program),
         sum(len(one.waits) for one, _ in shown) if len(made) == 2 else None,
     )
 

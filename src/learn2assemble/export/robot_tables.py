@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from learn2assemble.errors import InputError
-from learn2assemble.export.place_words import places_data
+from learn2assemble.export.place_words import places_data, stands_data
 from learn2assemble.files import read_bytes, write_file
 from learn2assemble.geometry.hulls import Hull, hull_of
 from learn2assemble.geometry.rotations import quaternion_matrix
@@ -89,8 +89,9 @@ def header(program: Program, arm: Arm) -> dict[str, Any]:
             **({"names": blocks.names, "kinds": blocks.kinds} if blocks.names else {}),
         },
         "places": places_data(program, arm),
+        **({"stands": stands_data(program, arm)} if program.stands else {}),
         **(_waits(program) if program.of_two else {}),
-        "hands": [hand._asdict() for hand in program.hands],
+        "hands": [hand._asdict() | {"time": round(time, 6)} for hand, time in program.asks],
         "steps": [
             {
                 "step": step.number,
@@ -108,7 +109,12 @@ def header(program: Program, arm: Arm) -> dict[str, Any]:
 def _waits(program: Program) -> dict[str, Any]:
     """What two arms wait for."""
     waits = [
-        {"time": round(one.time, 6), "other": round(one.other, 6), "number": one.number}
+        {
+            "time": round(one.time, 6),
+            "other": round(one.other, 6),
+            "number": one.number,
+            **({"hands": one.hands} if one.hands else {}),
+        }
         for one in program.waits
     ]
     return {"waits": waits, "awaited": [round(time, 6) for time in program.awaited]}
@@ -194,7 +200,11 @@ def read_header(data: Any, source: str, name: str) -> Header:
             raise InputError(f"{source}: steps", "cells that are no object", "cells of objects")
         numbers = _array([data[key] for key in ("seconds", "stretch", "gripper_speed")], 3)
         waits = tuple(
-            Wait(float(one["time"]), float(one["other"]), int(one["number"]))
+            Wait(
+                *(float(one[key]) for key in ("time", "other")),
+                int(one["number"]),
+                tuple(map(str, one.get("hands", ()))),
+            )
             for one in data.get("waits", ())
         )
         awaited = tuple(map(float, data.get("awaited", ())))

@@ -145,6 +145,8 @@ def _head_messages(program: Program, arm: Arm) -> Iterator[Message]:
         words = f"step {number}, {blocks.get(number, 'no block')}: "
         words += STAGES[stage] if stage >= 0 else "rest"
         yield _ns(program.knots.time[k]), "/stage", {"data": words}
+    for hand, time in program.asks if program.halts else ():
+        yield _ns(time), "/stage", {"data": hand.words}
     for step in program.steps:
         for time in step.checks:
             yield _ns(time), "/check", {"data": program.blocks.name(step.cells[0])}

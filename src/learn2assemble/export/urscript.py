@@ -20,8 +20,9 @@ from learn2assemble.export.robot_tables import changes
 from learn2assemble.files import write_file
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.driver import driver_of
-from learn2assemble.motion.program import Program, ProgramStep, motions
+from learn2assemble.motion.program import Program, ProgramStep, Wait, motions
 from learn2assemble.motion.settings import ProgramSettings
+from learn2assemble.motion.waits import BY_HAND
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import forward_many, get_chain
 
@@ -263,8 +264,9 @@ def _told(program: Program, arm: Arm, asks: list[_Ask]) -> Iterator[_Line]:
         first = program.knots.at(np.array([begin]))[0][0]
         state = program.states[int(program.states_at(np.array([begin]))[0])]
         told = [_asked_on_resuming(ask, step.number) for ask in asks if ask.after == k]
+        halts = (time for hand, time in program.asks if hand.after == k)
         yield _Line(
-            begin,
+            max(begin, next(halts, begin)),
             "end\n" * bool(k)
             + (
                 f"# step {_step_words(program, step)}\n"
@@ -282,8 +284,13 @@ def _told(program: Program, arm: Arm, asks: list[_Ask]) -> Iterator[_Line]:
     left = [ask.call for ask in asks if ask.after == len(program.steps) and ask.time is None]
     if last or left:
         yield _Line(begin, last + "\n".join(left))
-    yield from (_Line(time, f"l2a_done({k})", 0) for k, time in enumerate(program.awaited, 1))
-    yield from (_Line(one.time, f"l2a_await({one.number})", 2) for one in program.waits)
+    begins = np.array(program.halts)
+    for k, time in enumerate(program.awaited, 1):
+        if not _near(time, begins + BY_HAND):
+            yield _Line(time, f"l2a_done({k})", 0)
+    for one in program.waits:
+        if not _near(one.time, begins):
+            yield _Line(one.time, _await(one), 2)
     (first, _), *later = changes(program)
     was_closed = bool(first.force) or first.vacuum
     for state, new in later:
@@ -300,9 +307,28 @@ def _told(program: Program, arm: Arm, asks: list[_Ask]) -> Iterator[_Line]:
 
 
 def _pauses(program: Program, done: int) -> str:
-    """Calls that wait for what is done by hand after so many steps, one a line."""
-    words = (plain(hand.words) for hand in program.hands if hand.after == done)
-    return "".join(f'popup("{word}, then go on", title="l2a", blocking=True)\n' for word in words)
+    """Calls that wait for what is done by hand after so many steps, one a line; of a build by two,
+    for what of the other arm comes before it, and they tell the other arm when it is done."""
+    lines = list[str]()
+    for hand, time in program.asks:
+        if hand.after != done:
+            continue
+        begin, halts = np.array([time]), bool(program.halts)
+        lines += [_await(one) for one in program.waits if halts and _near(one.time, begin)]
+        lines.append(f'popup("{plain(hand.words)}, then go on", title="l2a", blocking=True)')
+        over = (n for n, t in enumerate(program.awaited, 1) if halts and _near(t, begin + BY_HAND))
+        lines += [f"l2a_done({number})" for number in over]
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _near(time: float, times: np.ndarray) -> bool:
+    return bool((np.abs(times - time) < 1e-6).any())
+
+
+def _await(wait: Wait) -> str:
+    """The call that waits for the other arm, and for what is done by hand there."""
+    told = [f"# {plain(words)}: the other program asks for it\n" for words in wait.hands]
+    return "".join(told) + f"l2a_await({wait.number})"
 
 
 def _step_words(program: Program, step: ProgramStep) -> str:
@@ -345,7 +371,10 @@ def _asks(program: Program, arm: Arm) -> Iterator[_Ask]:
             hand = program.places[step.pick.place - 1].centre
             time = _aside(program, arm, k, hand)
             yield _Ask(k, time, f"l2a_wait_for_block({_wanted(program, step)})")
+        taken = {c for hand in program.hands if hand.after == k + 1 for c in hand.cells}
         for one in program.blocks.supply:
+            if taken.issuperset(one.cells):
+                continue  # It is asked for as a step by hand.
             if program.of_two and not set(one.cells) & set(step.cells):
                 continue  # The other arm has put it back.
             if begin + 1e-9 < one.time <= step.end + 1e-9 and one.poses[0, 2] < 0:

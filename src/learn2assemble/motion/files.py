@@ -62,6 +62,8 @@ def record_data(record: BuildRecord) -> dict[str, Any]:
     steps: list[dict[str, Any]] = []
     for step in map(_plain, record.steps):
         samples = step.pop("samples")
+        if step["source"] is None:
+            del step["source"]
         steps.append({"step": step.pop("number"), **step, **samples})
     data: dict[str, Any] = {
         **head,
@@ -69,6 +71,8 @@ def record_data(record: BuildRecord) -> dict[str, Any]:
         "steps": steps,
     }
     del data["studs"]
+    # Older versions did not tell when.
+    data["hands"] = [one if one[4] is not None else one[:4] for one in data["hands"]]
     for key in ("names", "kinds"):
         if not data[key]:
             del data[key]
@@ -106,10 +110,7 @@ def record_from(data: Any) -> BuildRecord:
             None if data["half"] is None else _array("half", data["half"], (count, 3)),
             None if data["density"] is None else _array("density", data["density"], (count,)),
             None if data["hull"] is None else tuple(map(_hull_from, data["hull"])),
-            tuple(
-                ByHand(int(after), tuple(map(int, cells)), str(name), place is True)
-                for after, cells, name, place in data["hands"]
-            ),
+            tuple(map(ByHand.read, data["hands"])),
             None if data.get("studs") is None else studs_from(data["studs"], count),
             *(_words_from(data, key, len(objects)) for key in ("names", "kinds")),
         )
@@ -197,6 +198,7 @@ def _step_from(item: Mapping[str, Any], where: str, n: int, cells: int) -> StepR
         array("before", cells, 7),
         array("after", cells, 7),
         None if item["truth"] is None else array("truth", cells, 7),
+        None if item.get("source") is None else array("source", 7),
     )
 
 

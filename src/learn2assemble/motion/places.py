@@ -8,7 +8,7 @@ them in the simulation: nothing lies at its pose otherwise, and ways of the arm 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import groupby, pairwise
 from typing import Any, NamedTuple
 
@@ -18,6 +18,8 @@ from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.record import BuildRecord, StepRecord
 from learn2assemble.robot.moves import DENSITY
 
+SQUARE = 5e-5
+"""Sides that differ by no more are told as equal: those of a square [m]."""
 NEAR, TURNED = 0.003, math.radians(2.0)
 """Blocks that wait no farther from each other lie at one place [m], [rad]."""
 
@@ -76,6 +78,32 @@ class PickPlace(NamedTuple):
         return times + ", first empty" * (not self.at_start)
 
 
+class Stands(NamedTuple):
+    """What stands there and is taken from no place."""
+
+    name: str
+    """Of it; empty: an obstacle."""
+    kind: str
+    """Empty where nobody tells."""
+    size: np.ndarray
+    """float64[3], as :attr:`PickPlace.size`."""
+    mass: float
+    """[kg]"""
+    centre: np.ndarray
+    """float64[3]: middle of the box round it [m, world]."""
+    turn: float
+    """As :attr:`PickPlace.turn`."""
+    corners: np.ndarray | None
+    """float64[k, 3]: its corners where it is no box [m, world]."""
+    by_hand: bool
+    """It is set by hand during the build; else it stands there from the start."""
+
+    @property
+    def what(self) -> str:
+        """What it is, in words."""
+        return f"{self.name or 'obstacle'}{f' ({self.kind})' * bool(self.kind)}"
+
+
 class Supplied(NamedTuple):
     """What a build needs besides its arm."""
 
@@ -84,6 +112,8 @@ class Supplied(NamedTuple):
     """One for each step of the record; None: the step takes nothing from a place."""
     turns: tuple[float, ...]
     """For each step, :func:`put_turn`."""
+    stands: tuple[Stands, ...] = ()
+    """What else has to stand there: from the start, and what hands set, in their order."""
 
 
 def ranges(numbers: Sequence[int]) -> str:
@@ -139,18 +169,58 @@ def supplied(record: BuildRecord) -> Supplied:
         refill = bool(hidden[k])
         picks.append(Pick(_listed(places, _lying(record, k, step), number, refill), refill))
         moved[k], hidden[k] = True, False
-    return Supplied(tuple(places), tuple(picks), tuple(put_turn(record, s) for s in record.steps))
+    turns = tuple(put_turn(record, step) for step in record.steps)
+    return Supplied(tuple(places), tuple(picks), turns, tuple(_stands(record, picks)))
+
+
+def _stands(record: BuildRecord, picks: Sequence[Pick | None]) -> Iterator[Stands]:
+    """See :attr:`Supplied.stands`."""
+    owner = {cell: k for k, cells in enumerate(record.objects) for cell in cells}
+    placed = [hand for hand in record.hands if hand.place]
+    others = {owner[hand.cells[0]] for hand in placed}
+    others |= {owner[s.cells[0]] for s, pick in zip(record.steps, picks, strict=True) if pick}
+    start = record.steps[0].before if record.steps else np.empty((0, 7))
+    for k, cells in enumerate(record.objects if record.steps else ()):
+        if k not in others and (start[list(cells), 2] >= 0).all():
+            yield _standing(record, k, start[list(cells)], False)
+    for hand in placed:
+        if hand.poses:
+            k = owner[hand.cells[0]]
+            rows = dict(zip(hand.cells, hand.poses, strict=True))
+            yield _standing(record, k, np.array([rows[c] for c in record.objects[k]]), True)
+
+
+def _standing(record: BuildRecord, number: int, poses: np.ndarray, by_hand: bool) -> Stands:
+    """An object that stands at poses float64[m, 7] of its cells."""
+    cells = record.objects[number]
+    pairs = zip(cells, poses, strict=True)
+    points = np.concatenate([_corners(record, cell, pose) for cell, pose in pairs])
+    size, centre, turn = _box(points)
+    name = record.names[number] if record.names else name_of(record, cells[0])
+    kind = record.kinds[number] if record.kinds else ""
+    corners = _outline(record, cells, points)
+    return Stands(name, kind, size, _mass(record, cells), centre, turn, corners, by_hand)
+
+
+def _outline(record: BuildRecord, cells: tuple[int, ...], points: np.ndarray) -> np.ndarray | None:
+    """float64[k, 3]: corners of an object [m]; None: it is one box."""
+    boxes = record.hull is None or all(record.hull[cell] is None for cell in cells)
+    return None if boxes and len(cells) == 1 else np.unique(points.round(6), axis=0)
 
 
 def _lying(record: BuildRecord, number: int, step: StepRecord) -> PickPlace:
-    """A place with one block, where a step finds it.
+    """A place with one block, where a step finds it; where that was not seen exactly, as it is
+    meant to lie there.
 
     Args:
         number: of the object.
     """
     cells, poses = record.objects[number], step.before
     points = np.concatenate([_corners(record, cell, poses[cell]) for cell in cells])
-    boxes = record.hull is None or all(record.hull[cell] is None for cell in cells)
+    if step.source is not None:
+        seen = poses[step.cells[0]]
+        turn = quaternion_matrix(step.source[3:]) @ quaternion_matrix(seen[3:]).T
+        points = step.source[:3] + (points - seen[:3]) @ turn.T
     size, centre, turn = _box(points)
     kind = record.kinds[number] if record.kinds else ""
     return PickPlace(
@@ -160,7 +230,7 @@ def _lying(record: BuildRecord, number: int, step: StepRecord) -> PickPlace:
         _mass(record, cells),
         centre,
         turn,
-        None if boxes and len(cells) == 1 else np.unique(points.round(6), axis=0),
+        _outline(record, cells, points),
         (name_of(record, cells[0]),),
         (),
         False,
@@ -239,10 +309,10 @@ def _box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     ring = np.array(around.exterior.coords)
     edges = np.diff(ring, axis=0)[:2]
     length = np.linalg.norm(edges, axis=1)
-    along = edges[int(length[1] > length[0] + 1e-6)]
+    along = edges[int(length[1] > length[0] + SQUARE)]
     turn = math.atan2(along[1], along[0])
     # Of a square the side nearest to x, from below 45 degrees on either side.
-    if abs(length[1] - length[0]) <= 1e-6:
+    if abs(length[1] - length[0]) <= SQUARE:
         turn = (turn + math.pi / 4) % (math.pi / 2) - math.pi / 4
     size = np.array([length.max(), length.min(), high[2] - low[2]])
     middle = np.array([*ring[:4].mean(0), (low[2] + high[2]) / 2])

@@ -25,7 +25,7 @@ from learn2assemble.geometry.rotations import (
     quaternion_matrix,
 )
 from learn2assemble.motion.knots import REST, Knots, fit, slow_down
-from learn2assemble.motion.places import Pick, PickPlace, name_of, step_numbers, supplied
+from learn2assemble.motion.places import Pick, PickPlace, Stands, name_of, step_numbers, supplied
 from learn2assemble.motion.record import (
     BuildRecord,
     ByHand,
@@ -106,6 +106,8 @@ class Wait(NamedTuple):
     """... when the other one's program has come so far [s, of that program]."""
     number: int
     """1, 2, ...: of :attr:`Program.awaited` of that program."""
+    hands: tuple[str, ...] = ()
+    """What is done by hand by then, for which that program asks, in words."""
 
 
 class Supply(NamedTuple):
@@ -198,9 +200,14 @@ class Program:
     stretch: float = 1.0
     """Largest factor by which the time of a motion was stretched."""
     hands: tuple[ByHand, ...] = ()
-    """What is done by hand between the steps, while the robot waits."""
+    """What is done by hand between the steps, while the robot waits; its times are those of the
+    record."""
+    halts: tuple[float, ...] = ()
+    """Of a build by two, when the robot begins to wait for each of these [s]."""
     places: tuple[PickPlace, ...] = ()
     """Where its blocks are taken from; not told by a program that was read from a file."""
+    stands: tuple[Stands, ...] = ()
+    """What else has to stand there; not told, as the places."""
     recorded: np.ndarray | None = None
     """float64[k]: when the build was where a knot is [s]; not told, as the places."""
     waits: tuple[Wait, ...] = ()
@@ -212,6 +219,13 @@ class Program:
     def seconds(self) -> float:
         """[s]"""
         return float(self.knots.time[-1])
+
+    @property
+    def asks(self) -> list[tuple[ByHand, float]]:
+        """What is done by hand, and when the robot begins to wait for it [s]."""
+        ends = [0.0, *(step.end for step in self.steps)]
+        times = self.halts or [ends[hand.after] for hand in self.hands]
+        return list(zip(self.hands, times, strict=True))
 
     @property
     def of_two(self) -> bool:
@@ -330,7 +344,9 @@ def _as_planned(program: Program, record: BuildRecord) -> Program:
         kinds = tuple(record.kinds[owner[k]] if record.kinds else "" for k in cells)
         blocks = blocks._replace(names=tuple(name_of(record, k) for k in cells), kinds=kinds)
     step = numbers[program.step - 1]
-    return replace(program, step=step, steps=steps, blocks=blocks, places=told.places)
+    return replace(
+        program, step=step, steps=steps, blocks=blocks, places=told.places, stands=told.stands
+    )
 
 
 def _stopped(samples: Samples, number: np.ndarray, period: float) -> tuple[Samples, np.ndarray]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -111,6 +111,9 @@ class StepRecord:
     truth: np.ndarray | None = None
     """The same as it really was, which a simulation tells when the build is over; None: nobody
     tells, or all was seen exactly."""
+    source: np.ndarray | None = None
+    """float64[7]: pose in which the grasped cell is meant to wait; None: nobody tells, or it was
+    seen exactly."""
 
     @property
     def seconds(self) -> float:
@@ -141,6 +144,22 @@ class ByHand(NamedTuple):
     """What the block is called."""
     place: bool
     """It is placed, rather than taken away."""
+    time: float | None = None
+    """When, on the clock of the record, which two arms share [s]; None: not told."""
+    poses: tuple[tuple[float, ...], ...] = ()
+    """Where its cells are then: x, y, z [m, world], quaternion (w, x, y, z); empty: not told."""
+
+    @classmethod
+    def read(cls, told: Sequence[Any]) -> ByHand:
+        """From a list of the fields, of which older files have fewer.
+
+        Raises:
+            TypeError, ValueError: for what is none.
+        """
+        after, cells, name, place, *more = told
+        time = None if not more else float(more[0])
+        poses = tuple(tuple(map(float, pose)) for pose in (more[1] if more[1:] else ()))
+        return cls(int(after), tuple(map(int, cells)), str(name), place is True, time, poses)
 
     @property
     def words(self) -> str:
@@ -265,6 +284,11 @@ def _structure(record: BuildRecord) -> Iterator[str]:
     for hand in record.hands:
         if set(hand.cells) not in own or not 0 <= hand.after <= len(record.steps):
             yield f"hands: cells {list(hand.cells)} after step {hand.after} are none of the build"
+        if hand.time is not None and not np.isfinite(hand.time):
+            yield f"hands: {hand.words} at {hand.time:g} s"
+        shapes = [len(pose) == 7 and bool(np.isfinite(pose).all()) for pose in hand.poses]
+        if len(shapes) not in (0, len(hand.cells)) or not all(shapes):
+            yield f"hands: {hand.words}: not 7 numbers for each of {len(hand.cells)} cells"
     for k, step in enumerate(record.steps, 1):
         if step.number != k:
             yield f"step {step.number}: should have number {k}"
@@ -276,6 +300,8 @@ def _structure(record: BuildRecord) -> Iterator[str]:
                 yield f"step {k}: {what} does not hold 7 numbers for each of {count} cells"
             elif np.abs(np.linalg.norm(poses[:, 3:], axis=1) - 1).max(initial=0.0) > 1e-4:
                 yield f"step {k}: {what} holds a quaternion that is not of length 1"
+        if step.source is not None and abs(np.linalg.norm(step.source[3:]) - 1) > 1e-4:
+            yield f"step {k}: source holds a quaternion that is not of length 1"
         arrays, long = list(vars(step.samples).values()), len(step.samples.time)
         if [array.shape for array in arrays] != [(long,), (long, n), (long, n), (long,), (long,)]:
             yield f"step {k}: its samples differ in number"

@@ -123,6 +123,7 @@ class BuildRecorder:
         detail: str = "",
         motion: StepMotion | None = None,
         after: np.ndarray | None = None,
+        source: np.ndarray | None = None,
     ) -> None:
         """Append a step; fields as in :class:`StepRecord`.
 
@@ -158,6 +159,7 @@ class BuildRecorder:
                 Samples(time, *parts),
                 self.poses,
                 end,
+                source=source,
             )
         )
         self.poses = end

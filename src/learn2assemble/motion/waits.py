@@ -4,8 +4,10 @@ Two arms have built at the same time, on one clock that robots do not share. Wha
 their order is a graph between their motions (an action dependency graph, Hönig et al. 2019): a
 motion waits for those of the other arm that began before it where both would come nearer to each
 other than the arms keep, whatever each is doing of its way when; and what touches the structure
-waits for all that the other arm had changed in it by then. Whatever else each does when it may, so
-one that is late, or stopped, leaves the other one safe. Nothing waits for what began after it, so
+waits for all that the other arm had changed in it by then. What is done by hand, for which one of
+the two programs asks, waits for all that the other arm began before, and all that it began later
+waits for that: somebody is in the cell. Whatever else each does when it may, so one that is late,
+or stopped, leaves the other one safe. Nothing waits for what began after it, so
 one of them can always go on.
 """
 
@@ -17,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.knots import Knots
 from learn2assemble.motion.program import Program, Wait, motions
@@ -34,6 +37,11 @@ EVERY = 5
 straight line between two that are left."""
 AT_THE_STRUCTURE = ("cross", "place")
 """Stages in which a block comes to what stands there."""
+BY_HAND = 1.0
+"""In a program, what is done by hand takes so long [s]: it ends after it begins, whatever waits."""
+BEFORE = 0.02
+"""What began so long before something is done by hand, or longer, comes before that [s]: records
+are on one clock to half a sample."""
 TAKING = ("pick", "lift")
 """Stages in which a block leaves what stands there, where it stood there."""
 
@@ -55,6 +63,8 @@ class _Span(NamedTuple):
     """Whether the structure is another one afterwards."""
     swept: Sweep | None = None
     """Of a motion, with what is held."""
+    hand: str = ""
+    """What is done by hand, in words."""
 
 
 def with_waits(programs: tuple[Program, Program], arms: tuple[Arm, Arm]) -> tuple[Program, Program]:
@@ -63,15 +73,57 @@ def with_waits(programs: tuple[Program, Program], arms: tuple[Arm, Arm]) -> tupl
     Args:
         programs: of two arms that have built together.
         arms: where they stood.
+
+    Raises:
+        InputError: where it is not told when something was done by hand.
     """
+    first, second = (_with_halts(program) for program in programs)
+    programs = first, second
     parts = tuple(list(_parts(*one)) for one in zip(programs, arms, strict=True))
     one, other = (tuple(arm.base_position.tolist()) for arm in arms)
-    first = tuple(_waits(parts[0], parts[1], before=one < other))
-    second = tuple(_waits(parts[1], parts[0], before=one >= other))
-    return (
-        replace(programs[0], waits=first, awaited=tuple(wait.other for wait in second)),
-        replace(programs[1], waits=second, awaited=tuple(wait.other for wait in first)),
+    mine = tuple(_waits(parts[0], parts[1], before=one < other))
+    others = tuple(_waits(parts[1], parts[0], before=one >= other))
+    made = (
+        replace(first, waits=mine, awaited=tuple(wait.other for wait in others)),
+        replace(second, waits=others, awaited=tuple(wait.other for wait in mine)),
     )
+    return _with_stands(made[0], second), _with_stands(made[1], first)
+
+
+def _with_stands(program: Program, other: Program) -> Program:
+    """A program that says of the other one's posts, and nothing of what that takes from places."""
+    posts = tuple(one for one in other.stands if one.by_hand)
+    come = {name for place in other.places for name in place.blocks} | {one.name for one in posts}
+    stands = tuple(one for one in program.stands if one.by_hand or one.name not in come)
+    return replace(program, stands=stands + posts)
+
+
+def _with_halts(program: Program) -> Program:
+    """A program with time for what is done by hand: before a step, one after the other."""
+    if any(hand.time is None for hand in program.hands):
+        expected = "times of all that is done by hand, which a new build tells"
+        raise InputError("trajectory.hands", "steps by hand without times", expected)
+    stands = np.array([_at_rest(program, time) for _, time in program.asks])
+    if not len(stands):
+        return program
+    begins, counts = np.unique(stands, return_counts=True)
+    clock = _Rests(begins, BY_HAND * counts)
+    made = _rested(program, clock, clock)
+    halts = [
+        clock.before(time) + BY_HAND * int((stands[:k] == time).sum())
+        for k, time in enumerate(stands.tolist())
+    ]
+    told = (made.states[0]._replace(time=0.0), *made.states[1:])
+    return replace(made, states=told, halts=tuple(halts))
+
+
+def _at_rest(program: Program, time: float) -> float:
+    """When the arm stands, which may still be on its way at a time [s]."""
+    clock = program.knots.time
+    ends = (
+        float(clock[b]) for a, b in motions(program) if clock[a] < time - 1e-9 < clock[b] - 2e-9
+    )
+    return next(ends, time)
 
 
 def on_one_clock(programs: tuple[Program, Program]) -> tuple[Program, Program]:
@@ -150,7 +202,8 @@ def _rested(program: Program, clock: _Rests, other: _Rests) -> Program:
         states=tuple(one._replace(time=clock.behind(one.time)) for one in program.states),
         steps=steps,
         blocks=program.blocks._replace(supply=supply),
-        recorded=None,
+        recorded=None if program.recorded is None else program.recorded[twice],
+        halts=tuple(map(clock.behind, program.halts)),
         waits=waits,
         awaited=tuple(map(clock.before, program.awaited)),
     )
@@ -167,18 +220,28 @@ def _waits(mine: list[_Span], others: list[_Span], before: bool) -> Iterator[Wai
         began = [
             n
             for n, other in enumerate(others[waited:], waited)
-            if other.began < part.began
-            or (other.began == part.began and (not before or _is_tool(other) > _is_tool(part)))
+            if _comes_first(other, part, before)
         ]
         found = waited
         for n in reversed(began):
             changed = part.needs and others[n].changes and others[n].ended <= part.began
-            if changed or _meets(part, others[n]):
+            if changed or part.hand or others[n].hand or _meets(part, others[n]):
                 found = n + 1
                 break
         if found > waited:
+            hands = tuple(other.hand for other in others[waited:found] if other.hand)
             waited, number = found, number + 1
-            yield Wait(part.begin, others[found - 1].end, number)
+            yield Wait(part.begin, others[found - 1].end, number, hands)
+
+
+def _comes_first(other: _Span, part: _Span, before: bool) -> bool:
+    """Whether a part of the other program counts as earlier; ``before`` as of :func:`_waits`."""
+    if bool(other.hand) != bool(part.hand):
+        hand, arm = (other, part) if other.hand else (part, other)
+        return (arm.began <= hand.began - BEFORE) != bool(other.hand)
+    if other.began != part.began:
+        return other.began < part.began
+    return not before or _is_tool(other) > _is_tool(part)
 
 
 def _is_tool(part: _Span) -> bool:
@@ -217,7 +280,13 @@ def _parts(program: Program, arm: Arm) -> Iterator[_Span]:
                 sweep(arm, held[k] if holds else own, np.ascontiguousarray(joints)),
             )
         )
-    ends = [float(time[a]) for a, _ in begins] + [float(time[-1])]
+    for hand, halt in program.asks:
+        assert hand.time is not None
+        done = halt + BY_HAND
+        made.append(
+            _Span(hand.time, hand.time, halt, done, True, True, hand=hand.words)  # in the cell
+        )
+    ends = sorted([float(time[a]) for a, _ in begins] + [*program.halts, float(time[-1])])
     was_closed = False
     for state in program.states:
         closed = bool(state.force) or state.vacuum

@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 
 from learn2assemble.assembly.instruction_words import extent_words, length_words
-from learn2assemble.motion.places import PickPlace, supplied
+from learn2assemble.motion.places import PickPlace, Stands, supplied
 from learn2assemble.viewer.html import NUMBER, row
 from learn2assemble.viewer.playback import Playback
 
@@ -48,6 +48,9 @@ def place_section(playback: Playback, origin: np.ndarray, planed: str = "") -> s
         rows.append(row(list(map(escape, cells)), {k + several: NUMBER for k in _NUMBERS}))
     if not rows:
         return ""
+    for one in found.stands:
+        cells = [""] * several + _standing_cells(one)
+        rows.append(row(list(map(escape, cells)), {k + several: NUMBER for k in _NUMBERS}))
     head = "<th>Arm</th>" * several + "".join(
         f"<th {NUMBER}>{word}</th>" if k in _NUMBERS else f"<th>{word}</th>"
         for k, word in enumerate(_HEAD)
@@ -72,15 +75,18 @@ def place_section(playback: Playback, origin: np.ndarray, planed: str = "") -> s
 
 
 def _cells(place: PickPlace) -> list[str]:
-    shown = np.round(1000 * place.centre, 1) + 0.0
-    return [
-        str(place.number),
-        place.what,
-        str(len(place.blocks)),
-        extent_words(place.size),
-        f"{1000 * place.mass:.0f} g",
-        *(f"{value:g}" for value in shown),
-        f"{round(math.degrees(place.turn), 1) + 0.0:g}°",
-        place.step_words,
-        place.refill_words,
-    ]
+    mass = f"{1000 * place.mass:.0f} g"
+    head = str(place.number), place.what, str(len(place.blocks)), extent_words(place.size), mass
+    return [*head, *_where(place), place.step_words, place.refill_words]
+
+
+def _standing_cells(one: Stands) -> list[str]:
+    mass = f"{1000 * one.mass:.0f} g" * bool(one.name)
+    words = "set by hand" if one.by_hand else "stands there from the start"
+    return ["", one.what, "1", extent_words(one.size), mass, *_where(one), "", words]
+
+
+def _where(one: PickPlace | Stands) -> list[str]:
+    shown = np.round(1000 * one.centre, 1) + 0.0
+    turn = round(math.degrees(one.turn), 1) + 0.0
+    return [*(f"{value:g}" for value in shown), f"{turn:g}°"]

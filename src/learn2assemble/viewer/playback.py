@@ -100,7 +100,14 @@ class Playback:
         self.steps: list[ArmStep] = merged(records)
         record = max(records, key=lambda one: one.num_cells)
         if len(records) > 1:
-            record = replace(record, steps=tuple(one.step for one in self.steps))
+            hands = tuple(
+                hand._replace(after=sum(one.end <= hand.time + 1e-6 for one in self.steps))
+                for one in records
+                for hand in one.hands
+                if hand.time is not None
+            )
+            steps = tuple(one.step for one in self.steps)
+            record = replace(record, steps=steps, hands=hands)
         _fits(record, plan)
         self.record = record
         """Of all arms: the cells, and the attempts in the order in which they ended."""
