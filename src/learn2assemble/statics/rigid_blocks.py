@@ -35,6 +35,7 @@ from learn2assemble.statics.holding_check import (
     margin_of,
     reference,
     stands_by_joints,
+    without_mortar,
     words_of,
 )
 
@@ -189,7 +190,13 @@ def check(
     check_friction(friction)
     standing = assembly.finished
     if standing.holds:
-        return _check_holding(replace(standing, friction=friction), started)
+        found = _check_holding(replace(standing, friction=friction), started)
+        dry = without_mortar(standing)
+        if found.verdict != FALLS or dry is None:
+            return found
+        # Mortar that cracks may still stand dry.
+        cracked = check(dry, friction=friction, tolerance=tolerance)
+        return found if cracked.verdict == FALLS else cracked
     check_overlaps(standing, tolerance)
     joints = Joints(standing, tolerance)
     result, contacts, keep, verdict = joints.decide(friction)
@@ -220,7 +227,7 @@ def _check_holding(standing: Assembly, started: float) -> Check:
         return Falling(holds.force, tuple(standing.blocks[k].id for k in holds.moving))
 
     def proof(_: float) -> str:
-        return words_of(found.need)
+        return words_of(found.need, without_mortar(standing) is not None)
 
     asked = Asked(
         lambda: found.balance.margin_g() if stands else 0.0,
