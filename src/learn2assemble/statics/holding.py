@@ -81,10 +81,11 @@ class Push(NamedTuple):
 
 
 class Holding(NamedTuple):
-    """What would hold a state that falls."""
+    """What a state lacks that falls."""
 
     force: float
-    """Least sum of forces, and of couples over a length, on all blocks [N]."""
+    """Least sum of components of forces, and of couples over a length, on all blocks, that would
+    have to be added [N]: a measure; a single force that would hold it may be less or more."""
     moving: list[int]
     """Blocks that move first."""
 
@@ -477,7 +478,7 @@ class Balance:
         held: np.ndarray | None = None,
         hands: Mapping[int, Hand] = NO_HANDS,
     ) -> Holding:
-        """The least forces that would hold a state with all its strength, and what moves first;
+        """The least that a state lacks with all its strength, and what moves first;
         arguments as of :meth:`need`."""
         there = np.ones(self.count, bool) if present is None else present
         free = self._unheld(there, held, hands)

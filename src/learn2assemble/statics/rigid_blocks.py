@@ -68,10 +68,10 @@ def _standing(
 
 
 class Falling(NamedTuple):
-    """What would hold blocks that fall."""
+    """What blocks lack that fall."""
 
     force: float
-    """The least that does [N]; 0 where they stand."""
+    """Of forces and moments, in all [N]; 0 where they stand: see :attr:`Check.holding_force`."""
     moving: tuple[str, ...]
     """Ids of the blocks that move first."""
 
@@ -94,7 +94,7 @@ class Asked(NamedTuple):
 class Check:
     """The answer of :func:`check`.
 
-    Margins, what would hold blocks that fall, and the words of the proof are computed when they are
+    Margins, what blocks lack that fall, and the words of the proof are computed when they are
     asked for.
 
     Attributes:
@@ -143,7 +143,9 @@ class Check:
 
     @property
     def holding_force(self) -> float:
-        """Least force that would hold it, 0 where it stands [N]."""
+        """Measure of what is lacking where it falls, 0 where it stands [N]: the least sum over all
+        blocks of the force and moment over a length that would have to be added. It is no force
+        that one could apply: a single one that holds it may be less or more."""
         return self._falling.force
 
     @property
