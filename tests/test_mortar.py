@@ -19,8 +19,14 @@ from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.cli import main
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
+from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.tiling.finished import stand_by_mortar
+from learn2assemble.planning.tiling.retiling import Retiling
+from learn2assemble.planning.tiling.tile import tile
+from learn2assemble.statics.holding import balance_of
+from learn2assemble.statics.holding_solver import STATUS, new_solver, run_within
 from learn2assemble.statics.proofs import MORTAR
 from learn2assemble.statics.rigid_blocks import FALLS, STANDS, check
 
@@ -338,3 +344,56 @@ def test_the_command_line_takes_a_kit_of_ones_own(
     assert read_assembly(tmp_path / "out").steps[3].wait == 48.0
     assert main([*asked, str(tmp_path / "arm"), "--arm", "panda"]) == 2
     assert "lays no mortar" in capsys.readouterr().err
+
+
+# A limit of time.
+
+
+def seconds_that_pass(most: int) -> Clock:
+    """A clock that is over once it has been looked at so often, whatever the machine."""
+    looks = iter(range(most + 1))
+    return Clock(1.0, lambda: 0.0 if next(looks, None) is not None else 2.0)
+
+
+def test_no_program_of_a_state_runs_on_where_time_is_over() -> None:
+    given = corbel(1.02 * NEEDED, age=0.0)
+    there = np.ones(3, bool)
+    balance = balance_of(given)
+    balance.clock = Clock(100.0)
+    assert balance.stands(there, ~there)
+    assert balance.need().stands
+    margin = balance.margin_g()
+    assert margin > 0
+    balance.clock = Clock(0.0)
+    assert not balance.stands(there, ~there)
+    assert not balance.need().stands
+    assert balance.holding() == (np.inf, [])
+    assert balance.margin_g() == pytest.approx(margin), "of a state that stands"
+    balance.clock = None
+    assert balance.stands(there, ~there)
+
+
+def test_a_program_is_given_what_is_left_of_the_clock() -> None:
+    solver = new_solver(1)
+    run_within(solver, Clock(1000.0, lambda: 5.0))
+    assert solver.getOptionValue("time_limit")[1] == pytest.approx(1000.0, abs=1.0)
+    run_within(solver, None)
+    assert solver.getOptionValue("time_limit")[1] == np.inf
+    assert run_within(solver, Clock(0.0)) == STATUS.kTimeLimit
+
+
+def test_a_plan_says_that_time_was_over_while_mortar_was_asked() -> None:
+    kit = mortared(1.0)
+    tiling = tile(stair(5), kit)
+    again = Retiling(tiling, kit, tight=True)
+    fallen = stand_by_mortar(tiling, kit, 0.6, Clock(1e3), again)
+    assert (fallen.status, "times its strength" in fallen.reason) == ("not found", True)
+    for looks in (1, 3, 4):
+        late = stand_by_mortar(tiling, kit, 0.6, seconds_that_pass(looks), again)
+        assert (late.status, late.reason.split(" after")[0]) == ("time", "time ran out"), looks
+
+
+def test_blocks_that_mortar_may_hold_do_not_fall_where_time_is_over() -> None:
+    plan = plan_assembly(corbel(1.02 * NEEDED), seconds=0.0, supports="none")
+    assert plan.status == "not found"
+    assert "time ran out" in (plan.reason or "")
