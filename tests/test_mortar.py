@@ -19,6 +19,7 @@ from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.cli import main
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
+from learn2assemble.geometry.hulls import kern
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
@@ -197,6 +198,21 @@ def test_mortar_pulls_nowhere_more_than_it_can(beside: tuple[float, float]) -> N
     for factor, verdict in ((1.01, STANDS), (0.99, FALLS)):
         joint = Joint("mortar", tensile=factor * needed, shear=1e9)
         assert check(Assembly((support, block), joint=joint)).verdict == verdict
+
+
+def test_the_kern_of_a_rectangle_and_of_a_triangle_by_hand() -> None:
+    """A third as long and as wide, corner to corner of the middles of sides; a quarter as large."""
+    rectangle, triangle = [[1, 1], [4, 1], [4, 2], [1, 2]], [[0, 0], [3, 0], [0, 3]]
+    for corners, middle, spots in (
+        (rectangle, [2.5, 1.5], [[2, 1.5], [2.5, 4 / 3], [2.5, 5 / 3], [3, 1.5]]),
+        (triangle, [1, 1], [[0.75, 0.75], [0.75, 1.5], [1.5, 0.75]]),
+    ):
+        for way in (1, -1):
+            found = kern(np.array(corners, float)[::way])
+            assert found is not None
+            assert found[0] == pytest.approx(middle)
+            assert np.array(sorted(found[1].round(9).tolist())) == pytest.approx(np.array(spots))
+    assert kern(np.array([[0, 0], [1, 0], [2, 0.0]])) is None
 
 
 def test_mortar_that_cracks_may_stand_dry() -> None:
