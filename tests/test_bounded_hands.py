@@ -226,6 +226,20 @@ def test_polyhedra_lie_inside_what_they_stand_for() -> None:
         assert size.min() > 0.85
 
 
+def test_a_limited_hand_counts_on_a_polyhedron_inside_its_ball() -> None:
+    hand, none = Hand.limited((0.0, 0.0, 0.0), 10.0, 1.0), np.zeros(3)
+    for way in ((1, 0, 0), (1, 1, 0), (1, 1, 1)):
+        unit = np.array(way) / np.linalg.norm(way)
+        assert hand.gives(8.86 * unit, none)
+        assert hand.gives(none, 0.886 * unit)
+        assert not hand.gives(8.87 * unit, none)
+    rng = np.random.default_rng(0)
+    for unit in rng.normal(size=(2000, 3)):
+        unit /= np.linalg.norm(unit)
+        assert hand.gives(8.86 * unit, none)
+        assert not hand.gives(10.001 * unit, none)
+
+
 def test_a_hand_is_written_and_read() -> None:
     hand = Hand.limited((0.1, 0.2, 0.3), 30.0, 1.5, "panda-1")
     steps = AssemblyStep(place="beam"), AssemblyStep(hold="beam", hand=hand)
@@ -235,6 +249,17 @@ def test_a_hand_is_written_and_read() -> None:
     assert not hand.gives(np.array([31.0, 0.0, 0.0]), np.zeros(3))
     with pytest.raises(InputError, match="0 or more: a hand may give nothing"):
         Hand((0, 0, 0), ((1.0, 0, 0, 0, 0, 0),), (-1.0,))
+    good = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for row in ((0.0,) * 6, (0.0, 0.0, 0.0, 0.0, 1e-300, 0.0), (1.0, 0.0), (math.nan,) * 6):
+        with pytest.raises(InputError, match=r"rows\[1\].*6 numbers"):
+            Hand((0, 0, 0), (good, row), (1.0, 1.0))  # pyright: ignore[reportArgumentType]
+    document = to_json(replace(beam(np.eye(3)), steps=steps))
+    document["steps"][1]["hand"]["rows"][3] = [0.0] * 6
+    with pytest.raises(InputError, match=r"rows\[3\].*length 1e-09 or more"):
+        from_json(document)
+    for rows, most in ((np.zeros((1, 6)), np.ones(1)), (np.ones((1, 5)), np.ones(1))):
+        with pytest.raises(InputError, match="6 numbers"):
+            Hand.within((0, 0, 0), rows, most)
     with pytest.raises(InputError, match="step that holds"):
         AssemblyStep(place="beam", hand=hand)
 

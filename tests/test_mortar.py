@@ -19,8 +19,15 @@ from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.cli import main
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
+from learn2assemble.geometry.hulls import kern
+from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.tiling.finished import stand_by_mortar
+from learn2assemble.planning.tiling.retiling import Retiling
+from learn2assemble.planning.tiling.tile import tile
+from learn2assemble.statics.holding import balance_of
+from learn2assemble.statics.holding_solver import STATUS, new_solver, run_within
 from learn2assemble.statics.proofs import MORTAR
 from learn2assemble.statics.rigid_blocks import FALLS, STANDS, check
 
@@ -46,12 +53,12 @@ def bracket(tensile: float, age: float = AGE) -> Assembly:
     return Assembly((brick(1, 0.0, 0), brick(2, 0.12, 1)), joint=joint)
 
 
-NEEDED = 2 * WEIGHT / (0.12 * WIDE)
-"""Of the corbel: the middle of its upper two bricks is 0.08 m beside that of the joint they hang
-on, which reaches 0.06 m, so its preload P has 2 W 0.08 = (2 W + P) 0.06; P is a third of the
-tensile strength over its patch of 0.12 m x 0.1 m."""
-BRACKET = 1.5 * WEIGHT / (0.08 * WIDE)
-"""Of the bracket: W 0.06 = (W + P) 0.04, over 0.08 m x 0.1 m."""
+NEEDED = 6 * WEIGHT / (0.12 * WIDE)
+"""Of the corbel: the middle of its upper two bricks is e = 0.08 m beside that of the joint they
+hang on, which is L = 0.12 m long. Stress that varies linearly pulls 2 W / A (6 e / L - 1) at its
+end."""
+BRACKET = 3.5 * WEIGHT / (0.08 * WIDE)
+"""Of the bracket: W / A (6 e / L - 1) with e = 0.06 m and L = 0.08 m."""
 
 
 def told(plan: Plan) -> list[str]:
@@ -138,13 +145,98 @@ def test_mortar_fills_joints_side_by_side() -> None:
     right = box_block("right", (0.2, 0, 0), (0.3, 0.1, 0.2), support=True)
     middle = box_block("middle", (0, 0, 0.1), (0.2, 0.1, 0.2), density=DENSITY)
     weight = DENSITY * 0.2 * 0.1 * 0.1 * GRAVITY
-    # Half of the weight on each joint of 0.1 m x 0.1 m; its share of the shear strength is an
-    # inscribed square, of which a corner points down.
-    for factor, verdict in ((1.5, STANDS), (0.98, FALLS)):
+    # Half of the weight on each joint of 0.1 m x 0.1 m.
+    for factor, verdict in ((1.01, STANDS), (0.99, FALLS)):
         shear = factor * weight / 2 / 0.01
         joint = Joint("mortar", tensile=1.0, shear=shear, age=AGE)
         given = Assembly((left, right, middle), friction=0.0, joint=joint)
         assert check(given).verdict == verdict
+
+
+def glued(shear: float, friction: float, tensile: float = 1e9) -> Assembly:
+    """A block of 0.2 x 0.1 x 0.1 m that hangs by a side of 0.1 x 0.1 m on a wall."""
+    support = box_block("wall", (-0.2, 0, 0), (0, 0.1, 0.4), support=True)
+    block = box_block("block", (0, 0, 0.1), (0.2, 0.1, 0.2), density=DENSITY)
+    joint = Joint("mortar", tensile=tensile, shear=shear, age=AGE)
+    return Assembly((support, block), friction=friction, joint=joint)
+
+
+def test_mortar_does_not_rub_on_its_own_strength() -> None:
+    """Nothing presses the joint of a block that hangs by its side: its shear strength bears all."""
+    area = 0.1 * 0.1
+    weight = DENSITY * 0.2 * area * GRAVITY
+    bent = weight * 0.1 / (0.1**3 / 6)
+    for friction in (0.0, 0.5):
+        # The tension at its upper edge is on the line of Mohr and Coulomb, too.
+        least = max(weight / area, friction * bent)
+        assert check(glued(1.01 * least, friction)).verdict == STANDS
+        for share in (0.0, 0.05, 0.99):
+            assert check(glued(share * least, friction)).verdict == FALLS, share
+    assert check(glued(0.51 * bent, 0.5, 1.01 * bent)).verdict == STANDS
+    assert check(glued(0.51 * bent, 0.5, 0.99 * bent)).verdict == FALLS
+
+
+def test_what_presses_mortar_adds_friction_once() -> None:
+    """A flat brick under a push along its bed: c A + mu W, and an octagon inside the circle."""
+    ground = box_block("ground", (-1, -1, -1), (1, 1, 0), support=True)
+    flat = box_block("flat", (0, 0, 0), (0.2, 0.2, 0.01), density=DENSITY)
+    given = Assembly((ground, flat), friction=0.5, joint=Joint("mortar", tensile=1e3, shear=1e3))
+    weight = DENSITY * 0.2 * 0.2 * 0.01 * GRAVITY
+    most = (1e3 * 0.2 * 0.2 + 0.5 * weight) / weight
+    assert 0.91 * most < check(given).margin_g < 1.001 * most
+
+
+@pytest.mark.parametrize("beside", [(0.0, 0.0), (0.02, 0.0), (0.02, 0.03)])
+def test_mortar_pulls_nowhere_more_than_it_can(beside: tuple[float, float]) -> None:
+    """A block hangs under a joint of 0.1 x 0.1 m with its middle beside that of the joint along
+    both axes: W / A (1 + 6 e_x / L + 6 e_y / L)."""
+    long, wide = (0.1 + 2 * e for e in beside)
+    support = box_block("beam", (-1, -1, 0.2), (0.1, 0.1, 0.3), support=True)
+    block = box_block("block", (0, 0, 0.1), (long, wide, 0.2), density=DENSITY)
+    weight = DENSITY * long * wide * 0.1 * GRAVITY
+    needed = weight / 0.1**2 * (1 + 6 * sum(beside) / 0.1)
+    for factor, verdict in ((1.01, STANDS), (0.99, FALLS)):
+        joint = Joint("mortar", tensile=factor * needed, shear=1e9)
+        assert check(Assembly((support, block), joint=joint)).verdict == verdict
+
+
+def test_the_kern_of_a_rectangle_and_of_a_triangle_by_hand() -> None:
+    """A third as long and as wide, corner to corner of the middles of sides; a quarter as large."""
+    rectangle, triangle = [[1, 1], [4, 1], [4, 2], [1, 2]], [[0, 0], [3, 0], [0, 3]]
+    for corners, middle, spots in (
+        (rectangle, [2.5, 1.5], [[2, 1.5], [2.5, 4 / 3], [2.5, 5 / 3], [3, 1.5]]),
+        (triangle, [1, 1], [[0.75, 0.75], [0.75, 1.5], [1.5, 0.75]]),
+    ):
+        for way in (1, -1):
+            found = kern(np.array(corners, float)[::way])
+            assert found is not None
+            assert found[0] == pytest.approx(middle)
+            assert np.array(sorted(found[1].round(9).tolist())) == pytest.approx(np.array(spots))
+    assert kern(np.array([[0, 0], [1, 0], [2, 0.0]])) is None
+
+
+def test_mortar_that_cracks_may_stand_dry() -> None:
+    """Its middle is outside the kern of the joint, but over the joint."""
+    joint = Joint("mortar", tensile=1.0, shear=1.0)
+    over = Assembly((brick(1, 0.0, 0), brick(2, 0.09, 1)), joint=joint)
+    assert check(over).verdict == check(replace(over, joint=DRY)).verdict == STANDS
+
+
+def test_forces_at_corners_do_what_those_of_the_kern_do() -> None:
+    """Those that are shown turn the upper two bricks of a corbel as their weight does."""
+    found = check(corbel(1.5 * NEEDED))
+    lower = (found.contacts.a == 0) & (found.contacts.b == 1)
+    corner = lower[found.contacts.patch]
+    force, at = found.forces[corner], found.contacts.points[corner]
+    assert (force[:, 2] * (at[:, 0] - 0.14)).sum() == pytest.approx(2 * WEIGHT * 0.08)
+
+
+def test_what_is_said_of_mortar_is_true() -> None:
+    weight = DENSITY * 0.2 * 0.1 * 0.1 * GRAVITY
+    found = check(glued(0.9 * weight / 0.01, 0.0))
+    assert (found.verdict, "certain" in found.proof) == (FALLS, False)
+    assert "with the shear strength of their joints, whatever these can pull" in found.proof
+    assert "of the tensile strength" in check(glued(1.1 * weight / 0.01, 0.0)).proof
 
 
 def test_a_plan_says_how_long_one_waits(tmp_path) -> None:
@@ -220,11 +312,11 @@ def test_dry_a_window_without_lintel_falls() -> None:
 
 def test_strength_decides_what_a_stair_of_bricks_bears() -> None:
     """The upper four bricks hang on the joint of the lowest: their middle is two cells beside that
-    of the joint, which reaches one and a half, so its preload P has 4 W 2 = (4 W + P) 1.5; P is a
-    third of the tensile strength over three cells."""
+    of the joint, which is three long: stress that varies linearly pulls 4 W / A (6 * 2 / 3 - 1) at
+    its end."""
     kit = mortared(1.0)
     x, y, z = kit.pitch
-    needed = 4 * (4 * x * y * z * kit.density * GRAVITY) / (3 * x * y)
+    needed = 12 * (4 * x * y * z * kit.density * GRAVITY) / (3 * x * y)
     plan = l2a.build(stair(5), kit=mortared(1.02 * needed))
     assert not any(block.prop for block in built(plan).blocks)
     assert steps_told(plan) == ["place", "place", "place", "wait place", "place"]
@@ -268,3 +360,56 @@ def test_the_command_line_takes_a_kit_of_ones_own(
     assert read_assembly(tmp_path / "out").steps[3].wait == 48.0
     assert main([*asked, str(tmp_path / "arm"), "--arm", "panda"]) == 2
     assert "lays no mortar" in capsys.readouterr().err
+
+
+# A limit of time.
+
+
+def seconds_that_pass(most: int) -> Clock:
+    """A clock that is over once it has been looked at so often, whatever the machine."""
+    looks = iter(range(most + 1))
+    return Clock(1.0, lambda: 0.0 if next(looks, None) is not None else 2.0)
+
+
+def test_no_program_of_a_state_runs_on_where_time_is_over() -> None:
+    given = corbel(1.02 * NEEDED, age=0.0)
+    there = np.ones(3, bool)
+    balance = balance_of(given)
+    balance.clock = Clock(100.0)
+    assert balance.stands(there, ~there)
+    assert balance.need().stands
+    margin = balance.margin_g()
+    assert margin > 0
+    balance.clock = Clock(0.0)
+    assert not balance.stands(there, ~there)
+    assert not balance.need().stands
+    assert balance.holding() == (np.inf, [])
+    assert balance.margin_g() == pytest.approx(margin), "of a state that stands"
+    balance.clock = None
+    assert balance.stands(there, ~there)
+
+
+def test_a_program_is_given_what_is_left_of_the_clock() -> None:
+    solver = new_solver(1)
+    run_within(solver, Clock(1000.0, lambda: 5.0))
+    assert solver.getOptionValue("time_limit")[1] == pytest.approx(1000.0, abs=1.0)
+    run_within(solver, None)
+    assert solver.getOptionValue("time_limit")[1] == np.inf
+    assert run_within(solver, Clock(0.0)) == STATUS.kTimeLimit
+
+
+def test_a_plan_says_that_time_was_over_while_mortar_was_asked() -> None:
+    kit = mortared(1.0)
+    tiling = tile(stair(5), kit)
+    again = Retiling(tiling, kit, tight=True)
+    fallen = stand_by_mortar(tiling, kit, 0.6, Clock(1e3), again)
+    assert (fallen.status, "times its strength" in fallen.reason) == ("not found", True)
+    for looks in (1, 3, 4):
+        late = stand_by_mortar(tiling, kit, 0.6, seconds_that_pass(looks), again)
+        assert (late.status, late.reason.split(" after")[0]) == ("time", "time ran out"), looks
+
+
+def test_blocks_that_mortar_may_hold_do_not_fall_where_time_is_over() -> None:
+    plan = plan_assembly(corbel(1.02 * NEEDED), seconds=0.0, supports="none")
+    assert plan.status == "not found"
+    assert "time ran out" in (plan.reason or "")

@@ -21,7 +21,8 @@ from learn2assemble.assembly.appearance import unit_doubt
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.contacts import Contacts, find_contacts
-from learn2assemble.assembly.files import from_json
+from learn2assemble.assembly.files import from_json, to_json
+from learn2assemble.cli import main
 from learn2assemble.errors import InputError
 from learn2assemble.statics.block_forces import GRAVITY, MOST_G
 from learn2assemble.statics.rigid_blocks import (
@@ -278,6 +279,28 @@ def test_a_hanging_block_is_the_one_that_moves() -> None:
     assert answer.moving == ("1",)
     assert answer.holding_force == pytest.approx(1000 * GRAVITY, rel=1e-3)
     assert answer.margin_g == 0
+
+
+def test_what_is_lacking_is_a_measure_and_called_so(tmp_path, capsys) -> None:
+    """A block of weight W whose middle is e = 0.1 m beyond the edge that it tips over. One force at
+    its far edge that holds it is W e / (e + l / 2); the least root of force squared and moment over
+    radius r squared is W e / sqrt(e² + (h / 2)² + r²): less of a cube, more of a long flat one."""
+    cube, flat = (
+        boxes((0, 0, 0, 1, wide, 1), (1.1 - half, 0, 1, 1.1 + half, wide, 1 + high))
+        for half, wide, high in ((0.5, 1.0, 1.0), (0.9, 0.1, 0.01))
+    )
+    for falling, half, wide, high in ((cube, 0.5, 1.0, 1.0), (flat, 0.9, 0.1, 0.01)):
+        turned = falling.blocks[1].mass * GRAVITY * 0.1
+        squared = half**2 + (wide / 2) ** 2 + (high / 2) ** 2
+        lacking = turned / np.sqrt(0.1**2 + (high / 2) ** 2 + squared)
+        assert check(falling).holding_force == pytest.approx(lacking, rel=1e-2)
+        assert (lacking < turned / (0.1 + half)) == (falling is cube)
+    path = tmp_path / "falls.json"
+    path.write_text(json.dumps(to_json(cube)))
+    main(["check", str(path)])
+    said = capsys.readouterr().out
+    assert re.search(r"^lacking +\S+ N, forces and moments of all blocks added up$", said, re.M)
+    assert "holding force" not in said
 
 
 @given(st.floats(-0.9, 0.9))

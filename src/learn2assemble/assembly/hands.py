@@ -8,6 +8,7 @@ with the round ones, too.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,8 +23,16 @@ from learn2assemble.values import Range
 Number = Annotated[float, Range(-1e9, 1e9)]
 Row = tuple[Number, Number, Number, Number, Number, Number]
 MOST_ROWS = 400
+SHORTEST = 1e-9
+"""Length of a row of which the direction is known."""
 _DIGITS = 9
 """Of the numbers of rows, of which the largest in every row is about 1."""
+
+
+def _check_row(number: int, row: Sequence[float]) -> None:
+    if len(row) != 6 or not math.hypot(*row) >= SHORTEST:
+        expected = f"6 numbers, as a vector of length {SHORTEST:g} or more"
+        raise InputError(f"hand: rows[{number}]", list(row), expected)
 
 
 @dataclass(frozen=True)
@@ -38,7 +47,8 @@ class Hand:
         name: whose hand it is.
 
     Raises:
-        InputError: for rows and bounds that do not fit, and bounds below 0.
+        InputError: for rows and bounds that do not fit, rows that are not of 6 numbers or shorter
+            than :data:`SHORTEST`, and bounds below 0.
     """
 
     point: tuple[Number, Number, Number]
@@ -50,6 +60,8 @@ class Hand:
         if not 1 <= len(self.rows) <= MOST_ROWS or len(self.most) != len(self.rows):
             got = f"{len(self.rows)} rows, {len(self.most)} bounds"
             raise InputError("hand", got, f"1 to {MOST_ROWS} rows, and as many bounds")
+        for number, row in enumerate(self.rows):
+            _check_row(number, row)
         if min(self.most) < 0:
             raise InputError("hand: most", min(self.most), "0 or more: a hand may give nothing")
 
@@ -57,8 +69,17 @@ class Hand:
     def within(
         cls, point: Sequence[float], rows: np.ndarray, most: np.ndarray, name: str = ""
     ) -> Hand:
-        """That of float64[k, 6] and float64[k] about float64[3]."""
+        """That of float64[k, 6] and float64[k] about float64[3].
+
+        Raises:
+            InputError: as of the class, and for what has other shapes.
+        """
+        if rows.ndim != 2 or rows.shape[1] != 6 or np.shape(most) != (len(rows),):
+            got = f"shapes {rows.shape}, {np.shape(most)}"
+            raise InputError("hand", got, "rows of 6 numbers, and as many bounds")
         size = np.linalg.norm(rows, axis=1)
+        for number in np.flatnonzero(~(size >= SHORTEST)).tolist():
+            _check_row(number, rows[number].tolist())
         table = (rows / size[:, None]).round(_DIGITS) + 0.0
         found = [tuple(row) for row in table.tolist()]
         bounds = (np.asarray(most) / size).round(_DIGITS)
@@ -67,7 +88,11 @@ class Hand:
 
     @classmethod
     def limited(cls, point: Sequence[float], force: float, moment: float, name: str = "") -> Hand:
-        """A hand of which force [N] and moment [N m] have a largest size, in any direction."""
+        """A hand of which force [N] and moment [N m] have a largest size, in any direction.
+
+        Each is counted on in a polyhedron inside the ball of that size, whose corners are on it:
+        in every direction at least 0.886 of the size, in those of few all of it.
+        """
         ways, share = ball(3)
         nothing = np.zeros_like(ways)
         rows = np.vstack([np.hstack([ways, nothing]), np.hstack([nothing, ways])])

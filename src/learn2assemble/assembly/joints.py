@@ -32,7 +32,8 @@ class Joint:
         base: whether the ground under a clutch has studs (``"grips"``) or is a ``"table"``.
         press: of a clutch, the force with which a block is pressed home [N].
         pitch: of a clutch, the distance of studs and the height of a layer [m].
-        tensile: of mortar, tensile strength [Pa].
+        tensile: of mortar, tensile strength [Pa]; it counts up to ``shear`` over the coefficient
+            of friction.
         shear: of mortar, shear strength without load [Pa].
         age: of mortar, the age at which it holds [h]; until then the joint is dry.
 

@@ -319,7 +319,7 @@ def _check(options: argparse.Namespace, output: Output) -> int:
             ("shown", found.proof),
             ("margin", f"{found.margin_g:.3f} g sideways, {found.tilt:.1f} degrees of tilt"),
             *([("margin of a contact point", f"{found.margin_n:.4g} N")] if held else []),
-            ("holding force", f"{found.holding_force:.4g} N"),
+            ("lacking", f"{found.holding_force:.4g} N, forces and moments of all blocks added up"),
             ("moves first", ", ".join(found.moving[:8]) or "-"),
             ("blocks", found.blocks),
             ("size", size),

@@ -323,3 +323,37 @@ def area_vector(corners: np.ndarray) -> np.ndarray:
     x, y, z = arm.T
     u, v, w = np.concatenate([arm[1:], arm[:1]]).T
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], 1).sum(0)
+
+
+def kern(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """The kern of a convex section: where a push leaves no tension anywhere if stress varies
+    linearly. Of a rectangle it is the rhombus a third as long and a third as wide.
+
+    Args:
+        corners: float64[n, 2], of the section, in turn.
+
+    Returns:
+        The centroid of the section float64[2], and the corners of the kern float64[m, 2], one for
+        each side of the section; None of a section without a width.
+    """
+    start = corners - corners.mean(0)
+    end = np.roll(start, -1, 0)
+    turn = start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]
+    area = float(turn.sum()) / 2
+    side = end - start
+    length = np.linalg.norm(side, axis=1)
+    # The products of two doubles round by this share of the square of a length.
+    if abs(area) <= 1e-9 * float(length.max()) ** 2:
+        return None
+    middle = (turn[:, None] * (start + end)).sum(0) / (6 * area)
+    both = start[:, :, None] * start[:, None] + end[:, :, None] * end[:, None]
+    mixed = start[:, :, None] * end[:, None]
+    second = (turn[:, None, None] * (2 * both + mixed + mixed.transpose(0, 2, 1))).sum(0) / 24
+    second -= area * np.outer(middle, middle)
+    real = length > 1e-9 * length.max()
+    out = np.stack([side[:, 1], -side[:, 0]], 1)[real] / length[real, None]
+    distance = ((start[real] - middle) * out).sum(1)
+    # A push there turns the stress to zero along the whole side; where corners follow each other to
+    # the right, area, second moments and distances are all negative.
+    spots = middle - out @ second / (area * distance[:, None])
+    return middle + corners.mean(0), spots + corners.mean(0)

@@ -100,8 +100,8 @@ def find_sequence(
         if found.complete or clock.left <= 0 or not stands:
             break
     made = order.sequenced(found)
-    if stands:
-        return made
+    if stands or (problem.mortar and clock.left <= 0):
+        return made  # What mortar holds is not decided where time is over.
     certain, moving = last.falls(end), last.moving(end)
     names = list_ids(order.blocks, moving) or "some blocks"
     reason = f"the finished structure falls: {names} would move first"
@@ -348,7 +348,7 @@ def site_of(
         laws.insert(0, ByLoads.of_contacts(problem.assembly, level, least, clock))
     if problem.mortar:
         bare = replace(problem.assembly, steps=(), not_built=())
-        laws.append(ByMortar(replace(bare, blocks=blocks, friction=friction[0]), laws[-1]))
+        laws.append(ByMortar(replace(bare, blocks=blocks, friction=friction[0]), laws[-1], clock))
     return BuildingSite(
         fixed=fixed,
         prop=np.array([block.prop for block in blocks]),

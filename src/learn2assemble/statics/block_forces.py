@@ -69,7 +69,8 @@ class Equilibrium(NamedTuple):
     method: Literal["frictionless", "rbe", "cra"]
     """What decided: forces without friction, RBE, or the coupled analysis."""
     holding_force: float
-    """Least sum over blocks of force, or moment over radius, that would hold it [N]."""
+    """Least sum over blocks of the length of a force and a moment over the radius of the block that
+    would have to be added [N]: a measure; a single force that would hold it may be less or more."""
     moving: np.ndarray
     """int64[M]: indices of the blocks that start to move; empty where it stands."""
     forces: np.ndarray

@@ -23,6 +23,7 @@ from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import Learn2AssembleError
 from learn2assemble.geometry.circles import inner_circle
 from learn2assemble.geometry.hulls import cross_product
+from learn2assemble.linear_programs import INF, Clock
 from learn2assemble.statics.hands import NO_HANDS, HeldBlock, held_blocks, held_meanwhile
 from learn2assemble.statics.holding_forces import Columns, Forces, forces_of, joined
 from learn2assemble.statics.holding_solver import (
@@ -32,6 +33,7 @@ from learn2assemble.statics.holding_solver import (
     STATUS,
     by_cones,
     new_solver,
+    run_within,
 )
 from learn2assemble.statics.holding_start import first_basis
 
@@ -81,10 +83,11 @@ class Push(NamedTuple):
 
 
 class Holding(NamedTuple):
-    """What would hold a state that falls."""
+    """What a state lacks that falls."""
 
     force: float
-    """Least sum of forces, and of couples over a length, on all blocks [N]."""
+    """Least sum of components of forces, and of couples over a length, on all blocks, that would
+    have to be added [N]: a measure; a single force that would hold it may be less or more."""
     moving: list[int]
     """Blocks that move first."""
 
@@ -156,6 +159,9 @@ class Balance:
             raise Learn2AssembleError("balance: the solver refused the matrix")
         self._load_now = load
         self._started, self._least = False, True
+        self.clock: Clock | None = None
+        """Where its time is over, no state is known to stand, and nothing to move; margins, which
+        are of states that stand, are looked for all the same."""
 
     # ------------------------------------------------------------ the program
 
@@ -256,18 +262,20 @@ class Balance:
             solver.changeRowsBounds(len(change), change, low[change], high[change])
         self._free, self._load_now = free.copy(), load
 
-    def _run(self) -> tuple[bool, np.ndarray]:
-        """Whether there is an optimum, and the columns."""
-        solver = self._solver
-        solver.run()
-        status = solver.getModelStatus()
-        if status not in DECIDED:
+    def _run(self, timed: bool = True) -> tuple[bool, np.ndarray]:
+        """Whether there is an optimum, and the columns.
+
+        Args:
+            timed: whether the clock counts.
+        """
+        solver, clock = self._solver, self.clock if timed else None
+        status = run_within(solver, clock)
+        if status not in DECIDED and status != STATUS.kTimeLimit:
             # It goes round in circles: from the start again, with costs that are perturbed.
             solver.clearSolver()
             for option, value in CAREFUL:
                 solver.setOptionValue(option, value)
-            solver.run()
-            status = solver.getModelStatus()
+            status = run_within(solver, clock)
             for option, value in OPTIONS:
                 solver.setOptionValue(option, value)
         if status == STATUS.kOptimal:
@@ -392,7 +400,8 @@ class Balance:
         last = sp.csc_matrix(self._last[rows].reshape(-1, 1))
         balance = sp.hstack([self.wrench[rows][:, on], last])
         lower, upper = np.append(self._lower[on], 0.0), np.append(self._upper[on], np.inf)
-        found = by_cones(balance, load[rows], lower, upper)
+        seconds = INF if self.clock is None else self.clock.left
+        found = by_cones(balance, load[rows], lower, upper, seconds)
         if found is None:
             return None
         forces = np.zeros(self._width)
@@ -438,7 +447,7 @@ class Balance:
                 column[:, :2] = -self.weight[:, None] * way / self.unit
                 self._replace_last(column.reshape(-1))
                 solver.changeColBounds(width, 0.0, MOST_G)
-                fits, x = self._run()
+                fits, x = self._run(timed=False)
                 if not fits:
                     return 0.0
                 reach, dual = float(x[width]), np.array(self._solver.getSolution().row_dual)
@@ -477,8 +486,8 @@ class Balance:
         held: np.ndarray | None = None,
         hands: Mapping[int, Hand] = NO_HANDS,
     ) -> Holding:
-        """The least forces that would hold a state with all its strength, and what moves first;
-        arguments as of :meth:`need`."""
+        """The least that a state lacks with all its strength, and what moves first, infinite and
+        nothing where time is over; arguments as of :meth:`need`."""
         there = np.ones(self.count, bool) if present is None else present
         free = self._unheld(there, held, hands)
         rows = np.flatnonzero(np.repeat(free, 6))
@@ -516,7 +525,8 @@ class Balance:
         number = np.cumsum(free) - 1
         some = [one._replace(body=int(number[one.body])) for one in self._held(hands, free)]
         with held_meanwhile(solver, some, int(free.sum())):
-            solver.run()
+            if run_within(solver, self.clock) == STATUS.kTimeLimit:
+                return Holding(INF, [])
             force = float(solver.getInfo().objective_function_value) * self.unit
             motion = np.zeros(6 * self.count)
             motion[rows] = np.array(solver.getSolution().row_dual)[:m]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import GROUND
-from learn2assemble.assembly.joints import Joint
+from learn2assemble.assembly.joints import DRY, Joint
 from learn2assemble.errors import InputError
 from learn2assemble.statics.holding import Balance, Need
 from learn2assemble.statics.holding_forces import Columns, Forces, forces_of
@@ -18,6 +19,8 @@ MANY = 1000
 """Blocks from which no one looks for the least strength they need."""
 _FEW = 30
 """Blocks up to which the least strength they need takes no longer than any forces."""
+_NEAR = 1e-9
+"""Length that is rounding [m]."""
 
 
 class JointAnswer(NamedTuple):
@@ -76,17 +79,42 @@ def reference(assembly: Assembly) -> Joint | None:
     return min(clutches, key=lambda joint: joint.capacity, default=None)
 
 
-def words_of(need: Need) -> str:
-    """What an answer rests on, in words."""
+def without_mortar(assembly: Assembly) -> Assembly | None:
+    """The same with dry joints where there is mortar that holds; None where there is none."""
+    if not any(joint.law == "mortar" and joint.holds for joint in assembly.laws):
+        return None
+
+    def dry(joint: Joint) -> Joint:
+        return DRY if joint.law == "mortar" else joint
+
+    joints = tuple(replace(one, joint=dry(one.joint)) for one in assembly.joints)
+    return replace(assembly, joint=dry(assembly.joint), joints=joints)
+
+
+def words_of(need: Need, mortar: bool = False) -> str:
+    """What an answer rests on, in words.
+
+    Args:
+        mortar: whether there is some that holds. The share is of what it pulls alone, all of its
+            shear strength is there, and a joint may bear more where it cracks in part.
+    """
     if need.stands:
-        most = "" if need.least else "at most "
+        most = "" if need.least and not mortar else "at most "
+        strength = "tensile strength" if mortar else "strength"
         return (
-            f"forces balance the blocks with {most}{need.share:.1%} of the strength of their joints"
+            f"forces balance the blocks with {most}{need.share:.1%} of the {strength} of their "
+            "joints"
         )
+    certain = "" if mortar else " for certain"
     if np.isfinite(need.share):
         return (
             f"forces would balance the blocks with {need.share:.4g} times the strength of their "
-            "joints: it falls for certain"
+            f"joints: it falls{certain}"
+        )
+    if mortar:
+        return (
+            "no forces balance the blocks with the shear strength of their joints, whatever these "
+            "can pull: it falls"
         )
     return "no forces balance the blocks, however strong their joints: it falls for certain"
 
@@ -114,12 +142,23 @@ def margin_of(found: JointAnswer, joint: Joint | None) -> float | None:
 def corner_forces(found: JointAnswer) -> np.ndarray:
     """float64[C, 3]: forces on block ``b`` at the corners of the contacts [N, world].
 
-    The preload of a joint is shared by its corners.
+    The preload of a clutch is shared by its corners. What mortar bears inside of its patch is
+    shared by the corners as stress would be that varies linearly.
     """
     contacts, columns = found.forces.contacts, found.balance.columns
     made = np.zeros_like(contacts.points)
-    at = columns.corner >= 0
-    np.add.at(made, columns.corner[at], (found.need.forces[:, None] * columns.force)[at])
+    there = np.flatnonzero(columns.corner >= 0)
+    corner, forces = columns.corner[there], (found.need.forces[:, None] * columns.force)[there]
+    inside = np.linalg.norm(columns.at[there] - contacts.points[corner], axis=1) > _NEAR
+    np.add.at(made, corner[~inside], forces[~inside])
+    for patch in np.unique(contacts.patch[corner[inside]]).tolist():
+        mine = inside & (contacts.patch[corner] == patch)
+        ends = np.flatnonzero(contacts.patch == patch)
+        rows, wanted = (
+            np.column_stack([np.ones(len(points)), points - contacts.points[ends[0]]]).T
+            for points in (contacts.points[ends], columns.at[there[mine]])
+        )
+        made[ends] += np.linalg.pinv(rows) @ wanted @ forces[mine]
     pulls = found.balance.preload
     shown = pulls.corner >= 0
     patch = contacts.patch[pulls.corner[shown]]

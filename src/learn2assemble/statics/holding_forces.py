@@ -7,9 +7,16 @@ exactly what pushes at the points can. Sideways forces at its knobs are free, an
 about the vertical where it has two knobs or more; faces side by side only push.
 
 Other joints have their forces at the corners of their patches: eight directions of Coulomb's cone,
-an octagon inside it. Mortar is such a joint with a preload, too: a third of its tensile strength
-over its patch, with which a rectangle bends as far as its strength lets it where stress varies
-linearly, and forces along the patch up to its shear strength.
+an octagon inside it.
+
+Mortar that holds does not crack: its stress varies linearly over the patch and pulls nowhere more
+than the tensile strength :math:`f`. That is a preload :math:`f A` at the middle and pushes at the
+corners of the *kern* of the patch, as a push inside the kern leaves no tension anywhere:
+:math:`|M| \le (N / A + f) S` about each axis of a rectangle. Along the patch it bears
+:math:`c A + \mu N` (Mohr and Coulomb) with the shear strength :math:`c`. The cone about a push
+of the kern, which bears the preload too, counts :math:`\mu (N + f A)` of it; so :math:`c - \mu f`
+is left for the mortar, and of the tensile strength no more counts than :math:`c / \mu`, where that
+line ends.
 """
 
 from __future__ import annotations
@@ -23,6 +30,7 @@ from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.bricks.lattice import Clutches, StudLattice, grip
 from learn2assemble.assembly.contacts import GROUND, Contacts, across, find_contacts
 from learn2assemble.assembly.joints import Joint
+from learn2assemble.geometry.hulls import kern
 
 _SIDES = 8
 """Of the pyramid inside Coulomb's cone."""
@@ -353,40 +361,57 @@ def _of_patches(assembly: Assembly, cured: np.ndarray | None) -> Forces:
                 parts += made[:2]
                 preload.append(made[2])
             continue
-        parts.append(_coned(*pair, normals, at, corner, assembly.friction))
         old = laid if joint.age == 0 else cured
         if joint.law == "mortar" and joint.holds and old[b] and (a == GROUND or old[a]):
-            filled.append(patch)
-            more, pull = _mortar(contacts, patch, joint)
-            parts.append(more)
-            preload.append(pull)
+            made = _mortar(contacts, patch, joint, assembly.friction)
+            if made is not None:
+                filled.append(patch)
+                parts += made[:2]
+                preload.append(made[2])
+                continue
+        parts.append(_coned(*pair, normals, at, corner, assembly.friction))
     empty = _columns(np.empty(0), np.empty(0), np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
     columns = joined([empty, *parts])
     bearing = _bearing(columns, contacts, filled)
     return Forces(columns, joined([empty, *preload]), contacts, bearing)
 
 
-def _mortar(contacts: Contacts, patch: int, joint: Joint) -> tuple[Columns, Columns]:
-    """Forces along a patch of mortar up to its shear strength, and its preload."""
+def _mortar(
+    contacts: Contacts, patch: int, joint: Joint, friction: float
+) -> tuple[Columns, Columns, Columns] | None:
+    """Pushes with friction at the corners of the kern of a patch of mortar, what it bears along
+    itself beside that, and its preload; None for a patch without a width."""
     first, last = int(contacts.start[patch]), int(contacts.start[patch + 1])
-    corner, area = np.arange(first, last), float(contacts.area[patch])
-    count = len(corner)
-    frame = across(contacts.normal[patch][None])[0]
-    # Two directions at right angles, each with its share of the strength, stay inside a circle.
-    most = joint.shear * area / count / np.sqrt(2)
-    many = np.repeat(corner, 2)
-    a, b = contacts.a[patch], contacts.b[patch]
+    area, normal = float(contacts.area[patch]), contacts.normal[patch]
+    frame = across(normal[None])[0]
+    points = contacts.points[first:last]
+    found = kern((points - points[0]) @ frame.T)
+    if found is None:
+        return None
+    middle, spots = (points[0] + flat @ frame for flat in found)
+    count = len(spots)
+    a, b = (np.array([body[patch]]) for body in (contacts.a, contacts.b))
+    # Shown at some corner of the patch each.
+    corner = first + np.arange(count)
+    tensile = min(joint.tensile, joint.shear / friction) if friction > 0 else joint.tensile
+    normals = np.tile(normal, (count, 1))
+    pushes = _coned(np.repeat(a, count), np.repeat(b, count), normals, spots, corner, friction)
+    # Sizes along four lines add up to an octagon inside the circle, one of whose corners lies along
+    # each direction of the frame.
+    most = max(joint.shear - friction * tensile, 0.0) * area / count * np.sin(np.pi / 8)
+    angle = np.pi / 8 + np.pi / 4 * np.arange(4)
+    lines = np.stack([np.cos(angle), np.sin(angle)], 1) @ frame
+    many = np.repeat(np.arange(count), 4)
     along = _columns(
-        np.full(2 * count, a),
-        np.full(2 * count, b),
-        np.tile(frame, (count, 1)),
-        contacts.points[many],
-        many,
+        np.repeat(a, 4 * count),
+        np.repeat(b, 4 * count),
+        np.tile(lines, (count, 1)),
+        spots[many],
+        corner[many],
         (-most, most),
     )
-    pull = -joint.tensile * area / 3 * contacts.normal[patch]
-    middle = contacts.points[corner].mean(0)
-    return along, _columns(np.array([a]), np.array([b]), pull[None], middle[None], np.array([-1]))
+    pull = -tensile * area * normal
+    return pushes, along, _columns(a, b, pull[None], middle[None], np.array([-1]))
 
 
 def _studs_of(

@@ -9,6 +9,8 @@ import highspy
 import numpy as np
 import scipy.sparse as sp
 
+from learn2assemble.linear_programs import INF, Clock
+
 _conic: Any = clarabel
 """A compiled module without types."""
 STATUS = highspy.HighsModelStatus
@@ -43,6 +45,18 @@ def new_solver(blocks: int) -> Any:
     return solver
 
 
+def run_within(solver: Any, clock: Clock | None) -> Any:
+    """The status of a program that was run in what is left of a clock, or at leisure."""
+    if clock is None:
+        solver.setOptionValue("time_limit", INF)
+    elif clock.left <= 0:
+        return STATUS.kTimeLimit
+    else:  # Its own clock goes on from one run to the next.
+        solver.setOptionValue("time_limit", solver.getRunTime() + clock.left)
+    solver.run()
+    return solver.getModelStatus()
+
+
 def _settings() -> Any:
     """Of the solver of cones."""
     settings = _conic.DefaultSettings()
@@ -53,10 +67,10 @@ def _settings() -> Any:
 
 
 def by_cones(
-    balance: Any, load: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    balance: Any, load: np.ndarray, lower: np.ndarray, upper: np.ndarray, seconds: float = INF
 ) -> np.ndarray | None:
     """The columns float64[n] within bounds, the last one the least, that balance a load, by
-    interior points, which many blocks cost less; None where it is stuck.
+    interior points, which many blocks cost less; None where it is stuck, or takes longer.
 
     Args:
         balance: [rows, n].
@@ -72,8 +86,10 @@ def by_cones(
     cost[-1] = 1.0
     energy = sp.csc_matrix((count, count))
     matrix = sp.csc_matrix(sp.vstack(signs))
+    settings = _settings()
+    settings.time_limit = seconds
     answer = _conic.DefaultSolver(
-        energy, cost, matrix, np.concatenate(bound), cones, _settings()
+        energy, cost, matrix, np.concatenate(bound), cones, settings
     ).solve()
     if answer.status != _conic.SolverStatus.Solved:
         return None

@@ -329,14 +329,21 @@ class ByMortar:
     Args:
         assembly: steps are not looked at.
         dry: the law of the same blocks where no mortar holds.
+        clock: where its time is over, no state is known to stand by mortar.
     """
 
-    def __init__(self, assembly: Assembly, dry: Law) -> None:
+    def __init__(self, assembly: Assembly, dry: Law, clock: Clock) -> None:
         self.assembly = assembly
         self.dry = dry
+        self.clock = clock
         self._young = np.zeros(len(assembly.blocks), bool)
         self._at_once = any(joint.holds and joint.age == 0 for joint in assembly.laws)
-        self._cured, self._balance = self._young, balance_of(assembly, cured=self._young)
+        self._cured, self._balance = self._young, self._made(self._young)
+
+    def _made(self, cured: np.ndarray) -> Balance:
+        balance = balance_of(self.assembly, cured=cured)
+        balance.clock = self.clock
+        return balance
 
     def stands(self, state: State, thorough: bool = True) -> bool:
         balance = self._of(state)
@@ -364,7 +371,7 @@ class ByMortar:
         return balance.holding(state.present, state.held, state.hands).moving
 
     def falls(self, state: State) -> bool:
-        return self.dry.falls(state) and not self.stands(state)
+        return self.dry.falls(state) and not self.stands(state) and self.clock.left > 0
 
     def _of(self, state: State) -> Balance | None:
         """The program where the joints of a state hold that are old enough; None where none do."""
@@ -372,5 +379,5 @@ class ByMortar:
             return None
         cured = self._young if state.cured is None else state.cured
         if (cured != self._cured).any():
-            self._cured, self._balance = cured, balance_of(self.assembly, cured=cured)
+            self._cured, self._balance = cured, self._made(cured)
         return self._balance

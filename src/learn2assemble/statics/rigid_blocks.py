@@ -35,6 +35,7 @@ from learn2assemble.statics.holding_check import (
     margin_of,
     reference,
     stands_by_joints,
+    without_mortar,
     words_of,
 )
 
@@ -67,10 +68,10 @@ def _standing(
 
 
 class Falling(NamedTuple):
-    """What would hold blocks that fall."""
+    """What blocks lack that fall."""
 
     force: float
-    """The least that does [N]; 0 where they stand."""
+    """Of forces and moments, in all [N]; 0 where they stand: see :attr:`Check.holding_force`."""
     moving: tuple[str, ...]
     """Ids of the blocks that move first."""
 
@@ -93,7 +94,7 @@ class Asked(NamedTuple):
 class Check:
     """The answer of :func:`check`.
 
-    Margins, what would hold blocks that fall, and the words of the proof are computed when they are
+    Margins, what blocks lack that fall, and the words of the proof are computed when they are
     asked for.
 
     Attributes:
@@ -142,7 +143,9 @@ class Check:
 
     @property
     def holding_force(self) -> float:
-        """Least force that would hold it, 0 where it stands [N]."""
+        """Measure of what is lacking where it falls, 0 where it stands [N]: the least sum over all
+        blocks of the force and moment over a length that would have to be added. It is no force
+        that one could apply: a single one that holds it may be less or more."""
         return self._falling.force
 
     @property
@@ -189,7 +192,13 @@ def check(
     check_friction(friction)
     standing = assembly.finished
     if standing.holds:
-        return _check_holding(replace(standing, friction=friction), started)
+        found = _check_holding(replace(standing, friction=friction), started)
+        dry = without_mortar(standing)
+        if found.verdict != FALLS or dry is None:
+            return found
+        # Mortar that cracks may still stand dry.
+        cracked = check(dry, friction=friction, tolerance=tolerance)
+        return found if cracked.verdict == FALLS else cracked
     check_overlaps(standing, tolerance)
     joints = Joints(standing, tolerance)
     result, contacts, keep, verdict = joints.decide(friction)
@@ -220,7 +229,7 @@ def _check_holding(standing: Assembly, started: float) -> Check:
         return Falling(holds.force, tuple(standing.blocks[k].id for k in holds.moving))
 
     def proof(_: float) -> str:
-        return words_of(found.need)
+        return words_of(found.need, without_mortar(standing) is not None)
 
     asked = Asked(
         lambda: found.balance.margin_g() if stands else 0.0,

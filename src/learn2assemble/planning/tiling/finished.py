@@ -156,17 +156,21 @@ def stand_by_mortar(
         again: what is barred so far; blocks that move first are not used together again.
 
     Returns:
-        the tiling; its status is ``"not found"`` where each of a few tilings falls.
+        the tiling; its status is ``"not found"`` where each of a few tilings falls, and ``"time"``
+        where time ran out before one was found.
     """
     failed, least = tiling, INF
     for number in range(MORTAR_ROUNDS):
         clock.tell(f"looking for blocks that mortar holds: tiling {number + 1}")
         balance = balance_of(to_assembly(tiling, None, kit, friction=friction))
+        balance.clock = clock
         none = np.zeros(len(tiling.placements), bool)
         if balance.stands(~none, none):
             return tiling
         least = min(least, balance.need().share)
         moving = [tiling.placements[b] for b in balance.holding().moving]
+        if clock.left <= 0:
+            return _too_late(tiling, kit, clock)
         new = again.bar(moving or tiling.placements)
         better = again.solve(clock.left) if new and clock.left > 0 else None
         if better is None or better.status != "complete":

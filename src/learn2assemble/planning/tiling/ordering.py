@@ -230,7 +230,7 @@ def order(
     laws: list[Law] = [loads]
     if law == MORTAR:
         whole = to_assembly(tiling, None, kit, friction=ends[0], gap=widest)
-        laws.append(ByMortar(whole, loads))
+        laws.append(ByMortar(whole, loads, clock))
     elif law != FRICTIONLESS:
         laws.append(Coupled(tiling, kit, ends, law, widest))
     below = [stack.below(b).tolist() for b in range(count)]
