@@ -198,7 +198,8 @@ class Recording:
         made, piece, turn = self.recorder, self.world.pieces[k], quaternion_matrix(pose[3:])
         cells = self.cells[self.body[k]]
         at = [[*(pose[:3] + turn @ np.array(one.centre)), *pose[3:]] for one in piece.shape]
-        poses = tuple(map(tuple, np.round(at, 6).tolist()))
+        rows: list[list[float]] = np.round(at, 6).tolist()
+        poses = tuple(tuple(row) for row in rows)
         hand = ByHand(len(made.steps), cells, piece.id, place, made.now + stood, poses)
         self.hands.append(hand)
 
@@ -224,7 +225,7 @@ class Recording:
         halves, densities, poses = np.empty((count, 3)), np.empty(count), np.zeros((count, 7))
         hulls: list[Hull | None] = [None] * count
         for k, (body, piece) in enumerate(zip(self.body, self.world.pieces, strict=True)):
-            pose = self.taken.get(k, self.world.pose[k])
+            pose = self.taken[k] if k in self.taken else self.world.pose[k]
             turn = quaternion_matrix(pose[3:])
             for cell, part in zip(self.cells[body], piece.shape, strict=True):
                 halves[cell], hulls[cell] = part.half, part.hull

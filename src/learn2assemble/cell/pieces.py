@@ -135,6 +135,15 @@ class Piece:
         """What it covers in the finished structure, as a shapely area."""
         return covered(self.shape, self.pose)
 
+    def foot(self) -> Any:
+        """What of it lies on what is below its lowest point in the finished structure, as a shapely
+        area."""
+        import shapely
+
+        points = self.corners(self.pose)
+        low = points[:, 2] < points[:, 2].min() + ON_TABLE
+        return shapely.MultiPoint(points[low, :2]).convex_hull
+
     @property
     def name(self) -> str:
         """What messages call its kind."""

@@ -469,7 +469,7 @@ def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[
     width, depth = site.table or TABLE
     if site.table is not None:
         ground = shapely.union_all([table, *(p.face() for p in pieces if p.sunk)]).buffer(ON_TABLE)
-        off = [p.id for p in low if not ground.contains(p.face())]
+        off = [p.id for p in low if not ground.contains(p.foot())]
         if off:
             names = ", ".join(off[:3]) + (f" and {len(off) - 3} more" if off[3:] else "")
             expected = f"all that stands on it inside, {width:g} x {depth:g} m about the origin"

@@ -237,6 +237,8 @@ def _at_rest(states: list[dict[str, Any]], arms: Sequence[Arm]) -> dict[str, Any
         arms: of the cell, two.
     """
     plant = states[-1]["plant"]
+    if "others" not in plant:
+        return plant  # Robots are where they are.
     now = [(plant["joints"], plant["width"]), *plant["others"]]
     ends = [np.array(joints) for joints, _ in now]
     for state in states:

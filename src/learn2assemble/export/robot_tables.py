@@ -201,7 +201,8 @@ def read_header(data: Any, source: str, name: str) -> Header:
         numbers = _array([data[key] for key in ("seconds", "stretch", "gripper_speed")], 3)
         waits = tuple(
             Wait(
-                *(float(one[key]) for key in ("time", "other")),
+                float(one["time"]),
+                float(one["other"]),
                 int(one["number"]),
                 tuple(map(str, one.get("hands", ()))),
             )
