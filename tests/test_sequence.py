@@ -616,6 +616,14 @@ def test_where_not_even_the_first_block_stands_alone_a_hand_is_tried_too() -> No
     assert "a hold would help: with one block held at a time it is built" in (plan.reason or "")
 
 
+def test_what_is_only_balanced_is_not_said_to_fall() -> None:
+    """A prism on its edge: forces balance it, but nothing brings it back."""
+    corners = [(x, y, z) for y in (0.0, 0.2) for x, z in ((-0.1, 0.1), (0.1, 0.1), (0.0, 0.0))]
+    plan = plan_assembly(Assembly((hull_block("p", np.array(corners)),), friction=0.5))
+    assert plan.status == "not found"
+    assert "the next step is not proven to stand with any of p" in (plan.reason or "")
+
+
 def test_a_counterweight_comes_before_what_would_tip_without_it() -> None:
     """Level joints alone: b3 has room on b2, yet tips it over the edge of b1 until b4 is there."""
     heavy = {"density": 10000.0}

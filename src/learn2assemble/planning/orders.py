@@ -49,6 +49,9 @@ GRIPS = (2, 8, ANY_GRIPS)
 """In how many ways a block is held by the same hand with the same blocks there, one after the
 other: what cannot come past one that holds comes past few others, and all ways of all of them are
 too many."""
+_ASKED = 4
+"""So many of the blocks with none of which a step is found are asked whether all falls for
+certain."""
 _IDLE = 40
 """Moves of which none came farther, after which a search with hands is not the next thing to try:
 those that end well had 21 at most in our arches."""
@@ -327,7 +330,12 @@ class _DryOrder:
             return f"no way to the place of {names} is free"
         if not any(True for b in stuck for _ in site.crew.grips(b, state)):
             return f"no order found: {NOBODY} {names}"
-        return f"no order found: the next step falls with any of {names}"
+        law = self.rules.laws[-1]
+        mine = np.arange(len(present))
+        after = (replace(state, present=present | (mine == b)) for b in stuck[:_ASKED])
+        certain = all(law.falls(one) for one in after)
+        what = "falls" if certain else "is not proven to stand"
+        return f"no order found: the next step {what} with any of {names}"
 
 
 def site_of(
