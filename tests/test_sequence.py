@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -540,6 +540,81 @@ def test_a_way_out_may_have_a_turn_but_not_lead_through_walls() -> None:
     closed = box_block("lid", (0, 0, 1.5), (4, 1, 1.6))
     clearance = Clearance((inside, *walls[:5], closed), 1e-4)
     assert not clearance.leaves(0, present, LEVEL)
+
+
+def bar(
+    name: str, outline: list[tuple[float, float]], near: float, far: float, support: bool = False
+) -> Block:
+    """An outline of (x, z), counter-clockwise as seen from y < 0, drawn out along y."""
+    count = len(outline)
+    vertices = [(x, y, z) for y in (near, far) for x, z in outline]
+    sides = [((k + 1) % count, k, k + count, (k + 1) % count + count) for k in range(count)]
+    ends = [tuple(range(count)), tuple(range(2 * count - 1, count - 1, -1))]
+    return Block(name, vertices, [*ends, *sides], support=support)
+
+
+@pytest.mark.parametrize("thick", [0.004, 0.01, 0.02])
+def test_a_thin_part_of_a_block_does_not_pass_through_a_thin_shelf(thick: float) -> None:
+    """A block with a fin under a shelf, in a shaft that is as wide as the fin: a way in steps of a
+    share of its size would find the fin below the shelf, then above it."""
+    low, shelf = 0.05, 0.06 + thick
+    high = low + thick
+    outline = [
+        (0, 0),
+        (0.2, 0),
+        (0.2, 0.2),
+        (0, 0.2),
+        (0, high),
+        (-0.1, high),
+        (-0.1, low),
+        (0, low),
+    ]
+    assembly = Assembly(
+        (
+            box_block("floor", (-0.4, -0.2, -0.05), (0.5, 0.3, 0), support=True),
+            box_block("right", (0.2, -0.1, 0), (0.3, 0.2, 0.6), support=True),
+            box_block("front", (-0.3, -0.1, 0), (0.2, 0, 0.6), support=True),
+            box_block("back", (-0.3, 0.1, 0), (0.2, 0.2, 0.6), support=True),
+            box_block("left", (-0.3, 0, 0), (-0.15, 0.1, 0.6), support=True),
+            box_block("shelf", (-0.15, 0, shelf), (-0.01, 0.1, shelf + thick), support=True),
+            bar("block", outline, 0, 0.1),
+        )
+    )
+    closed = plan_assembly(assembly)
+    assert closed.status == "not found"
+    assert closed.reason is not None
+    assert closed.reason.startswith("no way to the place of block is free")
+    open_ = tuple(block for block in assembly.blocks if block.id != "shelf")
+    assert plan_assembly(replace(assembly, blocks=open_)).complete
+
+
+@pytest.mark.parametrize("slope", [0.0, 30.0])
+def test_a_slab_does_not_pass_through_a_thin_cover(slope: float) -> None:
+    """The box around a slab on a slope is not thin, but the slab is: it lies in a pit, with a cover
+    above it."""
+    turn = np.radians(slope)
+    turned = np.array(
+        [[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]
+    )
+
+    def part(name: str, low: Sequence[float], high: Sequence[float], support: bool = True) -> Block:
+        box = box_block(name, low, high)
+        return hull_block(name, box.vertices @ turned.T + (0, 0, 1.0), support=support)
+
+    pit = [
+        part("base", (-0.1, -0.1, -0.1), (0.4, 0.4, 0)),
+        part("low", (0.3, -0.1, 0), (0.4, 0.4, 0.2)),
+        part("high", (-0.1, -0.1, 0), (0, 0.4, 0.2)),
+        part("front", (0, -0.1, 0), (0.3, 0, 0.2)),
+        part("back", (0, 0.3, 0), (0.3, 0.4, 0.2)),
+    ]
+    slab = part("slab", (0, 0, 0), (0.3, 0.3, 0.01), support=False)
+    cover = part("cover", (0, 0, 0.025), (0.3, 0.3, 0.035))
+    assert plan_assembly(Assembly((*pit, slab), friction=0.6)).complete
+    closed = plan_assembly(Assembly((*pit, cover, slab), friction=0.6))
+    assert closed.status == "not found"
+    assert closed.reason is not None
+    assert closed.reason.startswith("no way to the place of slab is free")
 
 
 def test_posts_stand_clear_of_all_blocks_and_reach_their_faces() -> None:
