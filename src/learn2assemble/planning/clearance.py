@@ -153,9 +153,13 @@ class Clearance:
 class Ways(Protocol):
     """Room to move."""
 
-    def free(self, block: int, present: np.ndarray) -> bool:
+    def free(self, block: int, present: np.ndarray, sliding: bool = True) -> bool:
         """Whether a block can come to its place, or leave it, among the ``present`` ones
-        (bool[B])."""
+        (bool[B]).
+
+        Args:
+            sliding: also along its edges, where it may rub on others the whole way.
+        """
         ...
 
 
@@ -178,10 +182,30 @@ class FreeWays:
         self.props: list[bool] = [block.prop for block in blocks]
         self._clearance = Clearance(blocks, depth)
         self._known: dict[tuple[int, bytes], bool] = {}
+        self._slides: dict[tuple[int, bytes], bool] = {}
 
-    def free(self, block: int, present: np.ndarray) -> bool:
-        """Whether a way of a block to or from its place is free among ``present`` (bool[B])."""
+    def free(self, block: int, present: np.ndarray, sliding: bool = True) -> bool:
+        """Whether a way of a block to or from its place is free among ``present`` (bool[B]).
+
+        Args:
+            sliding: also along its edges, as a drawer goes; a prop does not slide.
+        """
         key = block, present.tobytes()
+        if self._comes_off(*key, present) or not sliding or self.props[block]:
+            return self._known[key]
+        if key not in self._slides:
+            normals, _ = self._pushing(block, present)
+            ways = slides(self._clearance.blocks[block], normals)
+            self._slides[key] = self._clearance.leaves(block, present, ways)
+        return self._slides[key]
+
+    def _comes_off(self, block: int, there: bytes, present: np.ndarray) -> bool:
+        """Whether a way is free that leads away from what the block touches.
+
+        Args:
+            there: of ``present``, by which it is known.
+        """
+        key = block, there
         if key not in self._known and block >= self.level:
             # Each post was found beside the given blocks alone: two of them may want one place.
             posts = present.copy()
@@ -227,9 +251,35 @@ def ways_out(normals: np.ndarray) -> np.ndarray:
     return ways[np.argsort(-ways[:, 2], kind="stable")][:_WAYS]
 
 
+def slides(block: Block, normals: np.ndarray) -> np.ndarray:
+    """Directions along edges of a block that no contact stops.
+
+    Args:
+        normals: float64[n, 3], of every contact, towards the block.
+
+    Returns:
+        float64[k, 3]: unit vectors, those along the longest edges first.
+    """
+    along = _edges(block)
+    length = np.linalg.norm(along, axis=1).round(9)
+    order = np.argsort(-length, kind="stable")
+    unit = along[order[length[order] > 0]]
+    unit /= np.linalg.norm(unit, axis=1)[:, None]
+    ways = np.stack([unit, -unit], 1).reshape(-1, 3)
+    ways = ways[(ways @ normals.T > -_ALONG).all(1)]
+    _, first = np.unique(ways.round(9), axis=0, return_index=True)
+    return ways[np.sort(first)][:_WAYS]
+
+
 def _part(block: Block) -> _ConvexSolid:
     xyz = np.array(block.vertices)
     normals = [area_vector(xyz[list(face)]) for face in block.faces]
+    return _ConvexSolid(xyz, _directions(np.array(normals)), _directions(_edges(block)))
+
+
+def _edges(block: Block) -> np.ndarray:
+    """float64[n, 3]: from one end of each edge to the other [m]."""
+    xyz = np.array(block.vertices)
     ends = np.array(
         sorted(
             {
@@ -239,8 +289,7 @@ def _part(block: Block) -> _ConvexSolid:
             }
         )
     )
-    along = xyz[ends[:, 1]] - xyz[ends[:, 0]]
-    return _ConvexSolid(xyz, _directions(np.array(normals)), _directions(along))
+    return xyz[ends[:, 1]] - xyz[ends[:, 0]]
 
 
 def _directions(vectors: np.ndarray) -> np.ndarray:

@@ -186,8 +186,12 @@ class CellWays:
         self.cells: list[np.ndarray] = [placement_cells(block, kit) for block in self.blocks]
         self._owner = owners(self.blocks, kit, tiling.wanted.shape)
 
-    def free(self, block: int, present: np.ndarray) -> bool:
-        """Whether a block can be moved out from among those that are there (bool[n])."""
+    def free(self, block: int, present: np.ndarray, sliding: bool = True) -> bool:
+        """Whether a block can be moved out from among those that are there (bool[n]).
+
+        Args:
+            sliding: makes no difference: a prop goes any way its cells have room for.
+        """
         if not self.blocks[block].prop:
             return True
         return leaves(np.append(present, False)[self._owner], self.cells[block])
