@@ -650,6 +650,11 @@ BAD = [
         "--cell: got '0', expected a length above 0",
     ),
     BadCall(
+        "cells with two edges",
+        ["build", "{d}/design.json", "--out", "{d}/new", "--cell", "80x120mm"],
+        "--cell: got '80x120mm', expected one length or three, such as 50mm or 80x120x30mm",
+    ),
+    BadCall(
         "misspelt option",
         ["build", "{d}/design.json", "--out", "{d}/new", "--cels", "1"],
         "did you mean --cell?",
