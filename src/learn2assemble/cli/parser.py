@@ -66,6 +66,11 @@ def either(*arguments: Adder) -> Adder:
     )
 
 
+def at_most_one(*arguments: Adder) -> Adder:
+    """Arguments of which not more than one is given."""
+    return lambda parser: _add_all(cast("Any", parser.add_mutually_exclusive_group()), arguments)
+
+
 def _add_all(parser: argparse.ArgumentParser, arguments: Iterable[Adder]) -> None:
     for add in arguments:
         add(parser)
@@ -292,7 +297,7 @@ def reading_arguments(parser: Any) -> None:
     """Add the options that say how a design is read."""
     add = parser.add_argument
     add("--unit", default=None, help="of the file where it does not say: mm, cm, m or in")
-    words = "edge of a cell, and so of blocks; or three, as 80x120x30mm"
+    words = "edge of a cell, and so of blocks, or 80x120x30mm"
     add("--cell", type=edges, default=None, metavar="L", help=words)
     add("--size", type=extent, default=None, metavar="L", help="largest side, instead of a unit")
     add("--up", default=None, metavar="AXIS", help="the axis that points up: y or z")
