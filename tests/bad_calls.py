@@ -22,6 +22,7 @@ from learn2assemble.tasks.networks.agent_file import bare_weights
 TASK = "one-sided-3x3-22-24"
 LONG = "x" * 300
 """Longer than a file name may be."""
+ARCH = str(Path(__file__).parents[1] / "examples" / "structures" / "arch.obj")
 WALL = str(Path(__file__).parent / "data" / "example_plan" / "assembly.json")
 """An assembly that can be checked."""
 PROGRAM_RATES = {
@@ -425,6 +426,40 @@ BAD = [
         ["check", "{d}/design.json", "--friction", "-1"],
         "coefficient of friction",
     ),
+    BadCall(
+        "check a mesh without a unit",
+        ["check", ARCH],
+        "unit: got None, expected mm, cm, m or in: the file does not say it",
+    ),
+    BadCall("check a mesh on its edge", ["check", ARCH, "--unit", "mm", "--up", "w"], "--up"),
+    BadCall(
+        "check blocks whose unit is known",
+        ["check", WALL, "--unit", "mm"],
+        "unit: got 'mm', expected none",
+    ),
+    BadCall(
+        "check blocks that are upright", ["check", WALL, "--up", "y"], "up: got 'y', expected none"
+    ),
+    BadCall(
+        "check bricks with a unit",
+        ["check", "{d}/bricks/good.txt", "--unit", "mm"],
+        "unit: got 'mm', expected none",
+    ),
+    BadCall(
+        "check bricks with friction",
+        ["check", "{d}/bricks/good.txt", "--friction", "0.5"],
+        "friction: got 0.5, expected none: bricks that clutch",
+    ),
+    BadCall(
+        "a video of nobody",
+        ["build", "{d}/design.json", "--out", "{d}/new", "--video"],
+        "--video: got 'no arm'",
+    ),
+    BadCall(
+        "no props and props",
+        ["build", "{d}/design.json", "--out", "{d}/new", "--no-props", "--supports", "props"],
+        "not allowed with argument",
+    ),
     BadCall("run nothing", ["run"], "PLAN"),
     BadCall("run a missing plan", ["run", "{d}/nosuch"], "nosuch"),
     BadCall("run a folder without a plan", ["run", "{d}/full"], "plan.json"),
@@ -648,6 +683,11 @@ BAD = [
         "cells without extent",
         ["build", "{d}/design.json", "--out", "{d}/new", "--cell", "0"],
         "--cell: got '0', expected a length above 0",
+    ),
+    BadCall(
+        "cells with two edges",
+        ["build", "{d}/design.json", "--out", "{d}/new", "--cell", "80x120mm"],
+        "--cell: got '80x120mm', expected one length or three, such as 50mm or 80x120x30mm",
     ),
     BadCall(
         "misspelt option",

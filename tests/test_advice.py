@@ -26,6 +26,7 @@ from learn2assemble.assembly.compas import from_compas, to_compas
 from learn2assemble.assembly.files import from_json, to_json
 from learn2assemble.assembly.instructions import instructions
 from learn2assemble.assembly.kit import Kind, Kit, load_kit
+from learn2assemble.cli.parser import make_parser
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.export.formats import mjcf
@@ -81,6 +82,23 @@ def test_a_kit_that_is_advised_builds_the_design() -> None:
     assert np.array_equal(cells, gate)
     tiling, ordering = plan_exact(gate, kit)
     assert (ordering or tiling).status == "complete"
+
+
+def test_cells_that_an_advised_kit_needs_are_said_with_it() -> None:
+    """A kit of other cells does in those of the design alone; both ways of asking for them do."""
+    flat = 0.08, 0.12, 0.03
+    gate = wall(8, 1, 6, (2, 6, 0, 4))
+    own = replace(load_kit("cubes"), pitch=flat)
+    tiling, _ = plan_exact(gate, own)
+    trials = {text: kit for text, _, kit, _ in _trials(tiling, own, {})}
+    kit = trials["kit `bricks-lintels` with cells of 80 × 120 × 30 mm does"]
+    assert kit.pitch == flat
+    tiling, ordering = plan_exact(gate, kit)
+    assert (ordering or tiling).status == "complete"
+    assert l2a.load_design(gate, cell=flat).cell == flat
+    for words in ("80x120x30mm", "80 × 120 × 30 mm", "0.08x0.12x0.03", "8cmx120mmx3cm"):
+        asked = make_parser().parse_args(["build", "gate.npy", "--out", "new", "--cell", words])
+        assert asked.cell == pytest.approx(flat)
 
 
 def test_a_wide_overhang_is_filled_or_nothing_is_advised() -> None:

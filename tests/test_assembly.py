@@ -548,6 +548,11 @@ def test_a_folder_and_a_scene_of_meshes(tmp_path: Path, suffix: str) -> None:
     assert [b.id for b in fixed.blocks if b.support] == ["lower"]
     with pytest.raises(InputError, match="support"):
         read_assembly(folder, supports=["nobody"])
+    if suffix == "glb":
+        assert len(read_assembly(folder, unit=None).blocks) == 2
+    else:
+        with pytest.raises(InputError, match="unit: got None, expected mm, cm, m or in"):
+            read_assembly(folder, unit=None)
 
 
 def test_instances_of_one_mesh_are_blocks(tmp_path: Path) -> None:

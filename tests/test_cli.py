@@ -37,6 +37,9 @@ ROOT = Path(__file__).resolve().parents[1]
 DESIGNS = ROOT / "examples" / "designs"
 
 
+ARCH = ROOT / "examples" / "structures" / "arch.obj"
+
+
 class Result(NamedTuple):
     code: int
     out: str
@@ -384,6 +387,25 @@ FILES = {
     "page": "view.html",
     "picture": "progress.png",
 }
+
+
+def test_check_takes_meshes_that_point_up_another_way(l2a: Call, tmp_path: Path) -> None:
+    """Of the arch with y up, what is told of the one with z up."""
+    lines = list[str]()
+    for line in ARCH.read_text().splitlines():
+        kind, *rest = line.split()
+        if kind == "v":
+            x, y, z = rest
+            line = f"v {x} {z} {y[1:] if y.startswith('-') else f'-{y}'}"
+        lines.append(line)
+    turned = tmp_path / "arch.obj"
+    turned.write_text("\n".join(lines))
+    usual = ["--unit", "mm", "--friction", "0.6", "--json"]
+    upright = l2a("check", ARCH, *usual).json()
+    same = l2a("check", turned, "--up", "y", *usual).json()
+    assert upright["verdict"] == same["verdict"] == "stands"
+    assert same["margin_g"] == pytest.approx(upright["margin_g"], abs=1e-3)
+    assert l2a("check", turned, *usual).code != 0
 
 
 def test_build(l2a: Call, tmp_path: Path) -> None:

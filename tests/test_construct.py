@@ -413,9 +413,10 @@ def test_bad_calls_end_in_one_line(
         code: object = main(["build", *call, "--out", str(tmp_path / "out")])
     except SystemExit as leave:
         code = leave.code
-    errors = [line for line in capsys.readouterr().err.splitlines() if "error:" in line]
+    errors = capsys.readouterr().err.splitlines()
     assert code == 2
-    assert len(errors) == 1
+    assert len(errors) == 1  # Nothing is planned before it.
+    assert "error:" in errors[0]
     assert told in errors[0]
     assert not (tmp_path / "out").exists()
 

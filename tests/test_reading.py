@@ -374,7 +374,7 @@ def _drawing(folder: Path, path: str) -> Path:
     return file
 
 
-def _read(folder: Path, path: str, **options: float) -> CellDesign:
+def _read(folder: Path, path: str, **options: Any) -> CellDesign:
     found = read_design(_drawing(folder, path), **options)
     assert isinstance(found, CellDesign)
     return found
@@ -421,6 +421,18 @@ def test_what_vanishes_is_said_and_the_cell_that_is_advised_shows_it(
     assert not _read(tmp_path, path, cell=float(advised[1]) / 1000).note
 
 
+@pytest.mark.parametrize("high", [0.05, 0.025])
+def test_what_vanishes_is_told_in_its_own_size_whatever_the_cell(
+    tmp_path: Path, high: float
+) -> None:
+    note = _read(tmp_path, WINDOW, cell=(0.05, 0.05, high)).note
+    assert note.startswith("not shown by the cells: an opening of 50 × 100 mm")
+    assert "becomes" not in note
+    wide = "M0 300V0H400V300H274V100H126V300Z"
+    note = _read(tmp_path, wide, cell=(0.05, 0.05, high)).note
+    assert note.startswith("an opening of 148 × 200 mm becomes 100 × 200 mm")
+
+
 @pytest.mark.parametrize(
     "path",
     [
@@ -431,8 +443,13 @@ def test_what_vanishes_is_said_and_the_cell_that_is_advised_shows_it(
         "M60 500V117H333V500Z",  # off the lattice by parts of a cell
     ],
 )
-def test_what_every_lattice_does_to_an_edge_is_not_called_lost(tmp_path: Path, path: str) -> None:
-    note = _read(tmp_path, path).note
+@pytest.mark.parametrize(
+    "cell", [(0.05, 0.05, 0.05), (0.05, 0.05, 0.02), (0.025, 0.05, 0.05), (0.025, 0.025, 0.01)]
+)
+def test_what_every_lattice_does_to_an_edge_is_not_called_lost(
+    tmp_path: Path, path: str, cell: tuple[float, float, float]
+) -> None:
+    note = _read(tmp_path, path, cell=cell).note
     assert "not shown" not in note
     assert "becomes" not in note
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -21,7 +21,7 @@ from learn2assemble.cell.structure import ways_in
 from learn2assemble.cell.workcell import DOWN
 from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import Clock
-from learn2assemble.planning.clearance import LEVEL, Clearance, overlap, parts_of
+from learn2assemble.planning.clearance import LEVEL, Clearance, FreeWays, overlap, parts_of
 from learn2assemble.planning.forward import Forward
 from learn2assemble.planning.given import contact_layers, plan_assembly
 from learn2assemble.planning.orders import OrderProblem, site_of
@@ -540,6 +540,148 @@ def test_a_way_out_may_have_a_turn_but_not_lead_through_walls() -> None:
     closed = box_block("lid", (0, 0, 1.5), (4, 1, 1.6))
     clearance = Clearance((inside, *walls[:5], closed), 1e-4)
     assert not clearance.leaves(0, present, LEVEL)
+
+
+def bar(
+    name: str, outline: list[tuple[float, float]], near: float, far: float, support: bool = False
+) -> Block:
+    """An outline of (x, z), counter-clockwise as seen from y < 0, drawn out along y."""
+    count = len(outline)
+    vertices = [(x, y, z) for y in (near, far) for x, z in outline]
+    sides = [((k + 1) % count, k, k + count, (k + 1) % count + count) for k in range(count)]
+    ends = [tuple(range(count)), tuple(range(2 * count - 1, count - 1, -1))]
+    return Block(name, vertices, [*ends, *sides], support=support)
+
+
+@pytest.mark.parametrize("thick", [0.004, 0.01, 0.02])
+def test_a_thin_part_of_a_block_does_not_pass_through_a_thin_shelf(thick: float) -> None:
+    """A block with a fin under a shelf, in a shaft that is as wide as the fin: a way in steps of a
+    share of its size would find the fin below the shelf, then above it."""
+    low, shelf = 0.05, 0.06 + thick
+    high = low + thick
+    outline = [
+        (0, 0),
+        (0.2, 0),
+        (0.2, 0.2),
+        (0, 0.2),
+        (0, high),
+        (-0.1, high),
+        (-0.1, low),
+        (0, low),
+    ]
+    assembly = Assembly(
+        (
+            box_block("floor", (-0.4, -0.2, -0.05), (0.5, 0.3, 0), support=True),
+            box_block("right", (0.2, -0.1, 0), (0.3, 0.2, 0.6), support=True),
+            box_block("front", (-0.3, -0.1, 0), (0.2, 0, 0.6), support=True),
+            box_block("back", (-0.3, 0.1, 0), (0.2, 0.2, 0.6), support=True),
+            box_block("left", (-0.3, 0, 0), (-0.15, 0.1, 0.6), support=True),
+            box_block("shelf", (-0.15, 0, shelf), (-0.01, 0.1, shelf + thick), support=True),
+            bar("block", outline, 0, 0.1),
+        )
+    )
+    closed = plan_assembly(assembly)
+    assert closed.status == "not found"
+    assert closed.reason is not None
+    assert closed.reason.startswith("no way to the place of block is free")
+    open_ = tuple(block for block in assembly.blocks if block.id != "shelf")
+    assert plan_assembly(replace(assembly, blocks=open_)).complete
+
+
+@pytest.mark.parametrize("slope", [0.0, 30.0])
+def test_a_slab_does_not_pass_through_a_thin_cover(slope: float) -> None:
+    """The box around a slab on a slope is not thin, but the slab is: it lies in a pit, with a cover
+    above it."""
+    turn = np.radians(slope)
+    turned = np.array(
+        [[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]
+    )
+
+    def part(name: str, low: Sequence[float], high: Sequence[float], support: bool = True) -> Block:
+        box = box_block(name, low, high)
+        return hull_block(name, box.vertices @ turned.T + (0, 0, 1.0), support=support)
+
+    pit = [
+        part("base", (-0.1, -0.1, -0.1), (0.4, 0.4, 0)),
+        part("low", (0.3, -0.1, 0), (0.4, 0.4, 0.2)),
+        part("high", (-0.1, -0.1, 0), (0, 0.4, 0.2)),
+        part("front", (0, -0.1, 0), (0.3, 0, 0.2)),
+        part("back", (0, 0.3, 0), (0.3, 0.4, 0.2)),
+    ]
+    slab = part("slab", (0, 0, 0), (0.3, 0.3, 0.01), support=False)
+    cover = part("cover", (0, 0, 0.025), (0.3, 0.3, 0.035))
+    assert plan_assembly(Assembly((*pit, slab), friction=0.6)).complete
+    closed = plan_assembly(Assembly((*pit, cover, slab), friction=0.6))
+    assert closed.status == "not found"
+    assert closed.reason is not None
+    assert closed.reason.startswith("no way to the place of slab is free")
+
+
+@pytest.mark.parametrize("turned", [0.0, 25.0])
+@pytest.mark.parametrize("room", [0.0, 0.01])
+def test_a_block_slides_into_a_niche_that_is_open_in_front(turned: float, room: float) -> None:
+    """With floor, sides, back and lid as close as that: no way that leads upwards gets out."""
+    cos, sin = np.cos(np.radians(turned)), np.sin(np.radians(turned))
+
+    def part(name: str, low: Sequence[float], high: Sequence[float], support: bool = True) -> Block:
+        corners = box_block(name, low, high).vertices @ [[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]
+        return hull_block(name, corners, support=support)
+
+    side, high = 0.1 + room, 0.2 + room
+    blocks = (
+        part("floor", (-0.4, -0.3, -0.1), (0.4, 0.2, 0)),
+        part("left", (-0.3, 0, 0), (-side, 0.2, high)),
+        part("right", (side, 0, 0), (0.3, 0.2, high)),
+        part("lid", (-0.3, 0, high), (0.3, 0.2, high + 0.1)),
+        part("back", (-0.3, 0.2, -0.1), (0.3, 0.3, high + 0.1)),
+        part("block", (-0.1, 0, 0), (0.1, 0.2, 0.2), support=False),
+    )
+    assert plan_assembly(Assembly(blocks), supports="none").complete
+    front = part("front", (-0.3, -0.1, 0), (0.3, 0, high + 0.1))
+    shut = plan_assembly(Assembly((*blocks, front)), supports="none")
+    assert shut.reason is not None
+    assert shut.reason.startswith("no way to the place of block is free")
+
+
+def test_a_block_that_reaches_round_a_bar_slides_on_at_its_end() -> None:
+    """Hung on a bar, with lips above it: along the bar alone, unless its ends are walled up."""
+    beam = box_block("beam", (0, -0.2, 0.5), (0.1, 0.3, 0.55), support=True)
+    outline = [
+        (-0.05, 0.4),
+        (0.15, 0.4),
+        (0.15, 0.6),
+        (0.06, 0.6),
+        (0.06, 0.55),
+        (0.1, 0.55),
+        (0.1, 0.5),
+        (0, 0.5),
+        (0, 0.55),
+        (0.04, 0.55),
+        (0.04, 0.6),
+        (-0.05, 0.6),
+    ]
+    ring = bar("ring", outline, 0, 0.1)
+    assert plan_assembly(Assembly((beam, ring)), supports="none").complete
+    ends = [
+        box_block(f"end {y:g}", (-0.2, y, 0.4), (0.3, y + 0.1, 0.7), support=True)
+        for y in (-0.3, 0.3)
+    ]
+    shut = plan_assembly(Assembly((beam, *ends, ring)), supports="none")
+    assert shut.reason is not None
+    assert shut.reason.startswith("no way to the place of ring is free")
+
+
+def test_a_block_slides_in_only_where_nothing_else_comes() -> None:
+    """A brick of the middle course could be drawn out of a wall: it still comes before the next."""
+    wall = script("turned_wall").turned_wall(bricks=12)
+    contacts = find_contacts(wall)
+    ways = FreeWays(wall.blocks, contacts, 1e-4, len(wall.blocks))
+    present = np.ones(len(wall.blocks), bool)
+    under = int(contacts.a[(contacts.a >= 0) & (np.abs(contacts.normal[:, 2]) > 0.9)][0])
+    assert ways.free(under, present)
+    assert not ways.free(under, present, sliding=False)
+    order = [step.block for step in plan_assembly(wall).steps]
+    assert order == sorted(order, key=lambda b: (round(float(wall.blocks[b].centroid[2]), 6), b))
 
 
 def test_posts_stand_clear_of_all_blocks_and_reach_their_faces() -> None:

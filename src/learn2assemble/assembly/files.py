@@ -59,7 +59,7 @@ MESH_SUFFIXES = tuple(f".{kind}" for kind in KINDS)
 def read_assembly(
     path: str | Path,
     *,
-    unit: float | str = 1.0,
+    unit: float | str | None = 1.0,
     up: Literal["y", "z"] | None = None,
     supports: Collection[str] = (),
     kit: str | Kit | None = None,
@@ -73,8 +73,8 @@ def read_assembly(
         path: our JSON, COMPAS JSON, STL, OBJ, PLY, OFF or GLB; LDraw, brick text or JSON of
             StableLego; a folder of meshes; or a plan, its folder or its ``plan.json``, with
             ``assembly.json`` beside it.
-        unit: of the file: ``mm``, ``cm``, ``m``, ``in``, or its length in metres; our JSON is
-            always in metres.
+        unit: of meshes and COMPAS JSON: ``mm``, ``cm``, ``m``, ``in``, or its length in metres; our
+            JSON is always in metres. None: as the file says; meshes that do not say it are refused.
         up: the axis of a mesh that points up; by default y for GLB, whose standard says so, else z.
         supports: ids of blocks that are supports besides those the file names.
         kit: whose blocks a file of bricks names, by default ``lego``; of other files, whose joints
@@ -91,15 +91,18 @@ def read_assembly(
     if (path.is_dir() or path.name == "plan.json") and beside.is_file():
         path = beside
     source = printable(str(path))
-    if isinstance(unit, str):
-        unit = look_up("unit", unit, UNITS)
-    if not is_number(unit, 1e-6, 1e6):
+    length = look_up("unit", unit, UNITS) if isinstance(unit, str) else unit
+    if length is not None and not is_number(length, 1e-6, 1e6):
         raise InputError("unit", unit, "metres in a unit of the file, from 1e-6 to 1e6")
     if path.is_dir():
-        assembly = _with_joints(_read_folder(path, source, unit, up), kit)
+        assembly = _with_joints(_read_folder(path, source, length, up), kit)
     else:
         content, source = read_bytes(path, KIND, MAX_BYTES)
-        assembly = parse_assembly(content, source, path.stem, unit=unit, up=up, kit=kit)
+        if isinstance(unit, str) and _is_json(content) and b'"dtype"' not in content:
+            raise InputError("unit", unit, f"none: {source} is in metres, or of bricks")
+        if isinstance(unit, str) and brick_format(content) is not None:
+            raise InputError("unit", unit, f"none: {source} is of bricks, whose size is known")
+        assembly = parse_assembly(content, source, path.stem, unit=length, up=up, kit=kit)
     return _with_supports(assembly, supports)
 
 
@@ -109,7 +112,7 @@ def parse_assembly(
     name: str,
     *,
     document: Any = None,
-    unit: float = 1.0,
+    unit: float | None = 1.0,
     up: Literal["y", "z"] | None = None,
     kit: str | Kit | None = None,
 ) -> Assembly:
@@ -119,19 +122,25 @@ def parse_assembly(
         source: what messages call the file.
         name: of the assembly, where the file has none.
         document: the value in it, where it is JSON that has been parsed.
-        unit: of the file [m].
+        unit: of the file [m]; None: as it says.
     """
-    if content.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in (b"{", b"["):
+    if _is_json(content):
         if document is None:  # Every block has vertices: far too many are not even parsed.
             check_count(max(content.count(b'"vertices"'), 1), source)
             document = load_json(decoded(content, source), source, FORMAT)
-        assembly = _of_document(mapping(document, source), source, name, unit, kit)
+        assembly = _of_document(mapping(document, source), source, name, unit or 1.0, kit)
     elif brick_format(content) is not None:
         assembly = read_bricks(content, source, name, kit)
     else:
         blocks = _mesh_blocks(content, source, "block", unit, up)
-        assembly = Assembly(tuple(blocks), name=name)
+        return _with_joints(Assembly(tuple(blocks), name=name), kit)
+    if up is not None:
+        raise InputError("up", up, f"none: {source} is no mesh, so z is up")
     return _with_joints(assembly, kit)
+
+
+def _is_json(content: bytes) -> bool:
+    return content.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in (b"{", b"[")
 
 
 def write_assembly(assembly: Assembly, path: str | Path, *, overwrite: bool = False) -> None:
@@ -224,7 +233,9 @@ def meshes_in(path: Path, source: str) -> list[Path]:
     return files
 
 
-def _read_folder(path: Path, source: str, unit: float, up: Literal["y", "z"] | None) -> Assembly:
+def _read_folder(
+    path: Path, source: str, unit: float | None, up: Literal["y", "z"] | None
+) -> Assembly:
     files = meshes_in(path, source)
     check_count(len(files), source)
     blocks: list[Block] = []
@@ -244,7 +255,7 @@ def _read_folder(path: Path, source: str, unit: float, up: Literal["y", "z"] | N
 
 
 def _mesh_blocks(
-    content: bytes, source: str, stem: str, unit: float, up: Literal["y", "z"] | None
+    content: bytes, source: str, stem: str, unit: float | None, up: Literal["y", "z"] | None
 ) -> Iterator[Block]:
     """The blocks of a mesh file: one for each object of a scene, or for each shell of a mesh."""
     import trimesh
@@ -254,6 +265,8 @@ def _mesh_blocks(
         got = "an unknown format" if content.strip() else "an empty file"
         meshes = "a mesh (STL, OBJ, PLY, OFF, GLB)"
         raise InputError(source, got, f"JSON, LDraw, brick text (as 4x2 (0,0,0)) or {meshes}")
+    if unit is None and kind != "glb":
+        raise InputError("unit", None, "mm, cm, m or in: the file does not say it")
     objects = list[tuple[str, np.ndarray, list[list[int]]]]()
     for part in read_parts(content, kind, source):
         mesh: Any = trimesh.Trimesh(part.vertices, part.faces, process=False)
@@ -265,7 +278,7 @@ def _mesh_blocks(
     many = Counter(name for name, _, _ in objects)
     for place, (name, vertices, faces) in enumerate(objects):
         id_ = stem if len(objects) == 1 else name if many[name] == 1 else f"{name}-{place}"
-        points = unit * vertices @ turn.T
+        points = (unit or 1.0) * vertices @ turn.T
         support = id_.lower().startswith("support")
         whole = outward(id_, points, tuple(map(tuple, faces)), support=support)
         if len(objects) > 1:

@@ -13,6 +13,7 @@ from learn2assemble.cli.parser import (
     Command,
     arg,
     asked,
+    at_most_one,
     command,
     count,
     either,
@@ -98,18 +99,20 @@ STATE = "build.jsonl"
             metavar="W[:W]",
             help="vertical joints or range, as 0:0.5mm (the kit's)",
         ),
-        arg(
-            "--supports",
-            default="auto",
-            metavar="WHAT",
-            help="auto, none, props (of the kit) or posts (cut)",
-        ),
-        arg(
-            "--no-props",
-            dest="supports",
-            action="store_const",
-            const="none",
-            help="the same as --supports none",
+        at_most_one(
+            arg(
+                "--supports",
+                default="auto",
+                metavar="WHAT",
+                help="auto, none, props (of the kit) or posts (cut)",
+            ),
+            arg(
+                "--no-props",
+                dest="supports",
+                action="store_const",
+                const="none",
+                help="the same as --supports none",
+            ),
         ),
         arg("--holds", type=count, default=0, metavar="K", help="given blocks held by hand (0)"),
     ),
@@ -143,7 +146,7 @@ STATE = "build.jsonl"
         arg(
             "--video",
             action=argparse.BooleanOptionalAction,
-            default=True,
+            default=None,
             help="build.mp4 (needs the extra video)",
         ),
     ),
@@ -159,7 +162,11 @@ def _build(options: argparse.Namespace, output: Output) -> int:
 
     task = is_task(options.design)
     arms = arms_that_build(options.design, options.arm, options.physics)
-    video = options.video and arms > 0
+    if options.video and not arms:
+        raise InputError(
+            "--video", "no arm", "an arm that carries the plan out, whose motion it is"
+        )
+    video = options.video is not False and arms > 0
     state = options.out / STATE if arms and not task else None
     if options.resume and (state is None or not state.exists()):
         return _resume_finished(options, output)

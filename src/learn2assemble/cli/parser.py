@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import inspect
 import math
+import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -63,6 +64,11 @@ def either(*arguments: Adder) -> Adder:
     return lambda parser: _add_all(
         cast("Any", parser.add_mutually_exclusive_group(required=True)), arguments
     )
+
+
+def at_most_one(*arguments: Adder) -> Adder:
+    """Arguments of which not more than one is given."""
+    return lambda parser: _add_all(cast("Any", parser.add_mutually_exclusive_group()), arguments)
 
 
 def _add_all(parser: argparse.ArgumentParser, arguments: Iterable[Adder]) -> None:
@@ -223,9 +229,29 @@ def extent(text: str) -> float:
     return value
 
 
+def edges(text: str) -> float | tuple[float, ...]:
+    """Edges of a cell: an extent, or three as ``80x120x30mm``, as messages write them, too.
+
+    A unit may stand behind the last only.
+    """
+    parts = re.split("[x×]", text)
+    if len(parts) == 1:
+        return extent(text)
+    if len(parts) != 3:
+        expected = "one length or three, such as 50mm or 80x120x30mm"
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected {expected}")
+    unit = _unit(parts[-1])
+    return tuple(extent(part if _unit(part) else part + unit) for part in parts)
+
+
+def _unit(text: str) -> str:
+    """The unit behind a length; nothing without one."""
+    return next((name for name in UNITS if text.strip().endswith(name)), "")
+
+
 def _length(text: str, words: str) -> float:
     body = text.strip()
-    unit = next((name for name in UNITS if body.endswith(name)), "")
+    unit = _unit(body)
     try:
         value = float(body.removesuffix(unit)) * UNITS.get(unit, 1.0)
     except ValueError:
@@ -271,7 +297,8 @@ def reading_arguments(parser: Any) -> None:
     """Add the options that say how a design is read."""
     add = parser.add_argument
     add("--unit", default=None, help="of the file where it does not say: mm, cm, m or in")
-    add("--cell", type=extent, default=None, metavar="L", help="edge of a cell, and so of blocks")
+    words = "edge of a cell, and so of blocks, or 80x120x30mm"
+    add("--cell", type=edges, default=None, metavar="L", help=words)
     add("--size", type=extent, default=None, metavar="L", help="largest side, instead of a unit")
     add("--up", default=None, metavar="AXIS", help="the axis that points up: y or z")
     add("--depth", type=extent, default=None, metavar="L", help="of the wall of a drawing")

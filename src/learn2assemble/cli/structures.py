@@ -20,6 +20,7 @@ from learn2assemble.cli.parser import (
     reading_arguments,
     reading_of,
 )
+from learn2assemble.errors import InputError
 from learn2assemble.files import UNITS, claim_folder, write_file
 from learn2assemble.robot.registry import ARMS
 from learn2assemble.values import rounded
@@ -294,7 +295,8 @@ def _calibrate(options: argparse.Namespace, output: Output) -> int:
         help="of a clutch, the largest pull of one contact point, instead of the kit's",
     ),
     arg("--friction", type=friction, default=None, help="instead of the file's coefficient"),
-    arg("--unit", default="m", choices=tuple(UNITS), help="of the coordinates in meshes"),
+    arg("--unit", default=None, choices=tuple(UNITS), help="of meshes, which do not say it"),
+    arg("--up", default=None, choices=("y", "z"), help="the axis of meshes that points up"),
     arg("--out", type=named, default=None, metavar="DIR", help="write a page with forces there"),
 )
 def _check(options: argparse.Namespace, output: Output) -> int:
@@ -307,7 +309,10 @@ def _check(options: argparse.Namespace, output: Output) -> int:
     from learn2assemble.viewer.page import Verdict
 
     with _claimed(options.out):
-        assembly = read_assembly(options.file, unit=options.unit, kit=options.kit)
+        said = {"unit": options.unit, "up": options.up}
+        assembly = read_assembly(options.file, **said, kit=options.kit)
+        if options.friction is not None and all(law.law == "clutch" for law in assembly.laws):
+            raise InputError("friction", options.friction, "none: bricks that clutch hold without")
         if options.capacity is not None:
             assembly = assembly.with_capacity(options.capacity)
         edges = np.ptp(np.concatenate([block.vertices for block in assembly.blocks]), axis=0)

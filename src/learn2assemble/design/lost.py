@@ -199,47 +199,49 @@ _ARTICLE = {_OPENING: "an", _PART: "a"}
 
 
 def _lost(walls: list[Contours], fitted: Fitted, edges: tuple[float, float]) -> list[Lost]:
+    """Where a cell is a square of size 1, as what bounds features is known for these alone."""
     share, first = fitted(walls)
-    scale = np.array(edges)
-    radius = THICK * min(edges)
+    size = np.array(edges)
     found: list[Lost] = []
     for k, contours in enumerate(walls):
-        drawn = _area([contour * scale for contour in contours])
-        cells = _cells(share[:, k] >= HALF, (first[0], first[2]), scale)
-        closed = [hole for hole in _holes(drawn, SLIT * min(edges)) if hole.within(cells)]
-        resized, around = _resized(drawn, cells, scale)
-        found += resized
+        drawn = _area(contours)
+        cells = _cells(share[:, k] >= HALF, (first[0], first[2]))
+        closed = [hole for hole in _holes(drawn, SLIT) if hole.within(cells)]
+        resized = _resized(drawn, cells)
+        found += [
+            Lost(_OPENING, *_pair(size * _extent(a)), _pair(size * _extent(b))) for a, b in resized
+        ]
         # What narrows an opening is said of the opening.
-        told = _all([*closed, *around]).buffer(ALIKE * min(edges))
-        filled = [one for one in _features(cells - drawn, radius) if one.disjoint(told)]
-        for what, ones in (
-            (_OPENING, [*filled, *closed]),
-            (_PART, _features(drawn - cells, radius)),
-        ):
-            for one in ones:
-                low_x, low_z, high_x, high_z = one.bounds
-                found.append(Lost(what, high_x - low_x, high_z - low_z))
+        told = _all([*closed, *(opening for opening, _ in resized)]).buffer(ALIKE)
+        filled = [one for one in _features(cells - drawn) if one.disjoint(told)]
+        for what, ones in ((_OPENING, [*filled, *closed]), (_PART, _features(drawn - cells))):
+            found += [Lost(what, *_pair(size * _extent(one))) for one in ones]
     return sorted(found, key=lambda one: (-round(one.wide * one.high, 9), one.what))
 
 
-def _resized(drawn: Any, cells: Any, scale: np.ndarray) -> tuple[list[Lost], list[Any]]:
-    """Openings that the cells show narrower, lower, wider or higher, and where these are drawn."""
-    found: list[Lost] = []
-    where: list[Any] = []
-    here, there = _openings(drawn, scale), _openings(cells, scale)
+def _extent(area: Any) -> np.ndarray:
+    """Width and height of an area."""
+    return np.subtract(area.bounds[2:], area.bounds[:2])
+
+
+def _pair(size: np.ndarray) -> tuple[float, float]:
+    return float(size[0]), float(size[1])
+
+
+def _resized(drawn: Any, cells: Any) -> list[tuple[Any, Any]]:
+    """Openings, as drawn and as shown, that the cells show narrower, lower, wider or higher."""
+    found: list[tuple[Any, Any]] = []
+    here, there = _openings(drawn), _openings(cells)
     for opening in here:
         shown = [one for one in there if one.intersection(opening).area > 0]
         if len(shown) != 1 or sum(shown[0].intersects(one) for one in here) > 1:
             continue
-        sizes = [np.subtract(one.bounds[2:], one.bounds[:2]) for one in (opening, shown[0])]
-        if (np.abs(sizes[0] - sizes[1]) >= RESIZED * scale).any():
-            now = float(sizes[1][0]), float(sizes[1][1])
-            found.append(Lost(_OPENING, float(sizes[0][0]), float(sizes[0][1]), now))
-            where.append(opening)
-    return found, where
+        if (np.abs(_extent(opening) - _extent(shown[0])) >= RESIZED).any():
+            found.append((opening, shown[0]))
+    return found
 
 
-def _openings(area: Any, scale: np.ndarray) -> list[Any]:
+def _openings(area: Any) -> list[Any]:
     """What an area leaves free of the rectangle around it, with something on either side."""
     import shapely
 
@@ -247,17 +249,16 @@ def _openings(area: Any, scale: np.ndarray) -> list[Any]:
         return []
     library: Any = shapely
     left, low, right, high = area.bounds
-    slack = ALIKE * float(scale.min())
     rest: Any = library.box(left, low, right, high) - area
     # Without the slivers that rounding leaves between cells.
-    rest = rest.buffer(-slack, join_style="mitre").buffer(slack, join_style="mitre")
+    rest = rest.buffer(-ALIKE, join_style="mitre").buffer(ALIKE, join_style="mitre")
     ones: list[Any] = list(getattr(rest, "geoms", [rest]))
     return [
         one
         for one in ones
         if not one.is_empty
-        and one.bounds[0] > left + 2 * slack
-        and one.bounds[2] < right - 2 * slack
+        and one.bounds[0] > left + 2 * ALIKE
+        and one.bounds[2] < right - 2 * ALIKE
     ]
 
 
@@ -272,13 +273,13 @@ def _area(contours: Contours) -> Any:
     return area
 
 
-def _cells(wanted: np.ndarray, first: tuple[float, float], scale: np.ndarray) -> Any:
+def _cells(wanted: np.ndarray, first: tuple[float, float]) -> Any:
     """Area of the cells bool[across, high] that are filled."""
     import shapely
 
-    low = (np.argwhere(wanted) + np.array(first)) * scale
+    low = np.argwhere(wanted) + np.array(first)
     library: Any = shapely
-    return library.union_all(library.box(*low.T, *(low + scale).T))
+    return library.union_all(library.box(*low.T, *(low + 1).T))
 
 
 def _all(areas: list[Any]) -> Any:
@@ -288,16 +289,16 @@ def _all(areas: list[Any]) -> Any:
 
 
 def _holes(area: Any, least: float) -> list[Any]:
-    """What an area goes round, where it is at least so wide and high [m]."""
+    """What an area goes round, where it is at least so wide and high."""
     import shapely
 
     rings = [ring for one in getattr(area, "geoms", [area]) for ring in one.interiors]
     holes = [shapely.Polygon(ring) for ring in rings]
-    return [hole for hole in holes if min(np.subtract(hole.bounds[2:], hole.bounds[:2])) >= least]
+    return [hole for hole in holes if _extent(hole).min() >= least]
 
 
-def _features(piece: Any, radius: float) -> list[Any]:
+def _features(piece: Any) -> list[Any]:
     """The parts of an area in which a circle has room, each without its thin margins."""
-    core = piece.buffer(-radius, join_style="mitre")
+    core = piece.buffer(-THICK, join_style="mitre")
     ones = getattr(core, "geoms", [core])
-    return [one.buffer(radius, join_style="mitre") for one in ones if not one.is_empty]
+    return [one.buffer(THICK, join_style="mitre") for one in ones if not one.is_empty]

@@ -132,31 +132,18 @@ def _objects(file: DesignFile, kit: Kit | None, reading: Mapping[str, Any]) -> o
     _refuse(reading, "none with blocks; unit and up alone", "blocks", "unit", "up")
     if file.kind not in KINDS:
         raise InputError("blocks", file.source, f"a mesh of {', '.join(KINDS)}")
-    unit, up = _metres(given, file.kind == "glb"), _upward(given)
-    return parse_assembly(file.content, file.source, file.name, unit=unit, up=up)
+    unit = None if given.unit is None else UNITS[given.unit]
+    return parse_assembly(file.content, file.source, file.name, unit=unit, up=_upward(given))
 
 
 def _folder(file: DesignFile, kit: Kit | None, reading: Mapping[str, Any]) -> Assembly:
     """The blocks of a folder, one mesh each, or of the plan in it."""
-    from learn2assemble.assembly.files import MESH_SUFFIXES, NAME, read_assembly
+    from learn2assemble.assembly.files import read_assembly
 
     assert file.folder is not None
     given = Reading.of(reading)
     given.check(file.kind)
-    suffixes = {path.suffix.lower() for path in file.folder.iterdir()}
-    said = (file.folder / NAME).is_file() or not suffixes & ({*MESH_SUFFIXES} - {".glb"})
-    return read_assembly(file.folder, unit=_metres(given, said), up=_upward(given), kit=kit)
-
-
-def _metres(given: Reading, said: bool) -> float:
-    """The unit of meshes that are blocks [m].
-
-    Args:
-        said: whether the files are in metres where the caller says nothing.
-    """
-    if given.unit is None and not said:
-        raise InputError("unit", None, "mm, cm, m or in: the file does not say it")
-    return UNITS[given.unit or "m"]
+    return read_assembly(file.folder, unit=given.unit, up=_upward(given), kit=kit)
 
 
 def _upward(given: Reading) -> Literal["y", "z"] | None:

@@ -1,6 +1,8 @@
 """Room to move: whether two blocks overlap, and along which way a block comes in or out.
 
-Convex parts are told apart by the planes of their faces and those along an edge of each.
+Convex parts are told apart by the planes of their faces and those along an edge of each. A block
+moves without turning, so each plane keeps it apart from another up to some distance and from
+another distance on: what it meets on a straight way is known exactly, however thin it is.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from learn2assemble.geometry.hulls import area_vector
 from learn2assemble.kernels import kernel
 
 _STEPS = 4
-"""Positions looked at for every least extent of a block on its way."""
+"""Places for every least extent of a block among which those are where it may turn off its way."""
 _WAYS = 12
 """Directions that are tried."""
 _TURNS = 6
@@ -58,8 +60,8 @@ def parts_of(block: Block) -> Parts:
 
 def overlap(one: Parts, two: Parts, depth: float) -> bool:
     """Whether blocks overlap by more than ``depth`` [m] along every axis that could part them."""
-    still = np.zeros((1, 3))
-    return any(_deep(*a, *b, still, depth).any() for a in one for b in two)
+    still = np.zeros(3)
+    return any(_first_deep(a, b, still, still, depth, 0.0, np.inf) == 0 for a in one for b in two)
 
 
 class Clearance:
@@ -95,12 +97,11 @@ class Clearance:
         size = float((self.upper[block] - self.lower[block]).min())
         reach = float((self.upper[others].max(0) - self.lower[others].min(0)).max())
         for way in ways:
-            steps = np.arange(1, int(_STEPS * reach / size) + 1) / _STEPS * size
-            hit = np.flatnonzero(self._hits(block, way * steps[:, None], others))
-            free = int(hit[0]) if len(hit) else len(steps)
-            turns = {int(k) for k in np.geomspace(1, max(free, 1), _TURNS)} if free else set[int]()
+            far = min(self._first_hit(block, way, others, still), reach)
+            count = int(_STEPS * far / size)
+            turns = {int(k) for k in np.geomspace(1, count, _TURNS)} if count else set[int]()
             for k in sorted(turns):
-                offset = way * steps[k - 1]
+                offset = way * (k / _STEPS * size)
                 if any(self._out(block, second, others, offset) for second in _SECOND):
                     return True
         return False
@@ -109,28 +110,31 @@ class Clearance:
         """Whether a block where it stands overlaps any of the ``present`` ones (bool[B])."""
         others = present.copy()
         others[block] = False
-        return bool(self._hits(block, np.zeros((1, 3)), others).any())
+        still = np.zeros(3)
+        return not self._out(block, still, others, still)
 
     def _out(self, block: int, way: np.ndarray, others: np.ndarray, offset: np.ndarray) -> bool:
-        """Whether a block, moved by ``offset``, can be drawn out straight along a unit vector."""
-        length = _way_out(block, self.lower, self.upper, others, way, offset)
-        step = float((self.upper[block] - self.lower[block]).min()) / _STEPS
-        moves = offset + way * np.arange(step, length + step, step)[:, None]
-        return not self._hits(block, moves, others, any_one=True).any()
+        """Whether a block, moved by ``offset``, can be drawn out straight along a unit vector; or
+        stands clear where it is, along none."""
+        return self._first_hit(block, way, others, offset, any_one=True) == np.inf
 
-    def _hits(
-        self, block: int, moves: np.ndarray, others: np.ndarray, any_one: bool = False
-    ) -> np.ndarray:
-        """bool[n]: whether a block, moved by each of float64[n, 3], overlaps any of the others.
+    def _first_hit(
+        self,
+        block: int,
+        way: np.ndarray,
+        others: np.ndarray,
+        offset: np.ndarray,
+        any_one: bool = False,
+    ) -> float:
+        """How far a block, moved by ``offset``, comes along a unit vector before it overlaps any of
+        the others (bool[B]) [m]; infinite where it gets out.
 
         Args:
-            any_one: stop at the first of the others that is hit.
+            any_one: whether any of those that it overlaps will do for the first one.
         """
-        if not len(moves):
-            return np.zeros(0, bool)
-        return _hits(
-            block, self.lower, self.upper, others, moves, self._solids, self.depth, any_one
-        )
+        boxes = self.lower, self.upper
+        path = np.stack([offset, way])
+        return _first_hit(block, *boxes, others, path, self._solids, self.depth, any_one)
 
     @cached_property
     def _solids(self) -> _Solids:
@@ -149,9 +153,13 @@ class Clearance:
 class Ways(Protocol):
     """Room to move."""
 
-    def free(self, block: int, present: np.ndarray) -> bool:
+    def free(self, block: int, present: np.ndarray, sliding: bool = True) -> bool:
         """Whether a block can come to its place, or leave it, among the ``present`` ones
-        (bool[B])."""
+        (bool[B]).
+
+        Args:
+            sliding: also along its edges, where it may rub on others the whole way.
+        """
         ...
 
 
@@ -174,10 +182,30 @@ class FreeWays:
         self.props: list[bool] = [block.prop for block in blocks]
         self._clearance = Clearance(blocks, depth)
         self._known: dict[tuple[int, bytes], bool] = {}
+        self._slides: dict[tuple[int, bytes], bool] = {}
 
-    def free(self, block: int, present: np.ndarray) -> bool:
-        """Whether a way of a block to or from its place is free among ``present`` (bool[B])."""
+    def free(self, block: int, present: np.ndarray, sliding: bool = True) -> bool:
+        """Whether a way of a block to or from its place is free among ``present`` (bool[B]).
+
+        Args:
+            sliding: also along its edges, as a drawer goes; a prop does not slide.
+        """
         key = block, present.tobytes()
+        if self._comes_off(*key, present) or not sliding or self.props[block]:
+            return self._known[key]
+        if key not in self._slides:
+            normals, _ = self._pushing(block, present)
+            ways = slides(self._clearance.blocks[block], normals)
+            self._slides[key] = self._clearance.leaves(block, present, ways)
+        return self._slides[key]
+
+    def _comes_off(self, block: int, there: bytes, present: np.ndarray) -> bool:
+        """Whether a way is free that leads away from what the block touches.
+
+        Args:
+            there: of ``present``, by which it is known.
+        """
+        key = block, there
         if key not in self._known and block >= self.level:
             # Each post was found beside the given blocks alone: two of them may want one place.
             posts = present.copy()
@@ -223,9 +251,35 @@ def ways_out(normals: np.ndarray) -> np.ndarray:
     return ways[np.argsort(-ways[:, 2], kind="stable")][:_WAYS]
 
 
+def slides(block: Block, normals: np.ndarray) -> np.ndarray:
+    """Directions along edges of a block that no contact stops.
+
+    Args:
+        normals: float64[n, 3], of every contact, towards the block.
+
+    Returns:
+        float64[k, 3]: unit vectors, those along the longest edges first.
+    """
+    along = _edges(block)
+    length = np.linalg.norm(along, axis=1).round(9)
+    order = np.argsort(-length, kind="stable")
+    unit = along[order[length[order] > 0]]
+    unit /= np.linalg.norm(unit, axis=1)[:, None]
+    ways = np.stack([unit, -unit], 1).reshape(-1, 3)
+    ways = ways[(ways @ normals.T > -_ALONG).all(1)]
+    _, first = np.unique(ways.round(9), axis=0, return_index=True)
+    return ways[np.sort(first)][:_WAYS]
+
+
 def _part(block: Block) -> _ConvexSolid:
     xyz = np.array(block.vertices)
     normals = [area_vector(xyz[list(face)]) for face in block.faces]
+    return _ConvexSolid(xyz, _directions(np.array(normals)), _directions(_edges(block)))
+
+
+def _edges(block: Block) -> np.ndarray:
+    """float64[n, 3]: from one end of each edge to the other [m]."""
+    xyz = np.array(block.vertices)
     ends = np.array(
         sorted(
             {
@@ -235,8 +289,7 @@ def _part(block: Block) -> _ConvexSolid:
             }
         )
     )
-    along = xyz[ends[:, 1]] - xyz[ends[:, 0]]
-    return _ConvexSolid(xyz, _directions(np.array(normals)), _directions(along))
+    return xyz[ends[:, 1]] - xyz[ends[:, 0]]
 
 
 def _directions(vectors: np.ndarray) -> np.ndarray:
@@ -249,32 +302,39 @@ def _directions(vectors: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _deep(
-    points: np.ndarray,
-    normals: np.ndarray,
-    edges: np.ndarray,
-    points2: np.ndarray,
-    normals2: np.ndarray,
-    edges2: np.ndarray,
-    moves: np.ndarray,
+def _first_deep(
+    one: _ConvexSolid,
+    two: _ConvexSolid,
+    offset: np.ndarray,
+    way: np.ndarray,
     depth: float,
-) -> np.ndarray:
-    """bool[n]: whether the first part, moved by each of float64[n, 3], overlaps the second.
+    start: float,
+    end: float,
+) -> float:
+    """How far a part, moved by ``offset``, comes along ``way`` before it overlaps another one.
 
     The axes are those of the separating axis theorem: normals of faces, and cross products of
-    edges. An axis along which the parts are at most ``depth`` deep keeps them apart.
+    edges. An axis along which the parts are at most ``depth`` deep keeps them apart, and where they
+    are deeper along it is one interval of the way: the parts overlap where all intervals do.
+
+    Args:
+        offset, way: float64[3].
+        depth: overlap that is rounding [m].
+        start, end: what of the way is looked at [m].
+
+    Returns:
+        Where the overlap begins, ``start`` at least [m]; infinite without one.
     """
-    inside = np.ones(len(moves), np.bool_)
-    first, second, third = len(normals), len(normals2), len(edges2)
-    for number in range(first + second + len(edges) * third):
+    first, second, third = len(one.normals), len(two.normals), len(two.edges)
+    for number in range(first + second + len(one.edges) * third):
         if number < first:
-            x, y, z = normals[number]
+            x, y, z = one.normals[number]
         elif number < first + second:
-            x, y, z = normals2[number - first]
+            x, y, z = two.normals[number - first]
         else:
             i, j = divmod(number - first - second, third)
-            ax, ay, az = edges[i]
-            bx, by, bz = edges2[j]
+            ax, ay, az = one.edges[i]
+            bx, by, bz = two.edges[j]
             x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
             length = np.sqrt(x * x + y * y + z * z)
             if length < _PARALLEL:
@@ -282,112 +342,86 @@ def _deep(
             x, y, z = x / length, y / length, z / length
         low = low2 = np.inf
         high = high2 = -np.inf
-        for k in range(len(points)):
-            at = points[k, 0] * x + points[k, 1] * y + points[k, 2] * z
+        for k in range(len(one.vertices)):
+            at = one.vertices[k, 0] * x + one.vertices[k, 1] * y + one.vertices[k, 2] * z
             low, high = min(low, at), max(high, at)
-        for k in range(len(points2)):
-            at = points2[k, 0] * x + points2[k, 1] * y + points2[k, 2] * z
+        for k in range(len(two.vertices)):
+            at = two.vertices[k, 0] * x + two.vertices[k, 1] * y + two.vertices[k, 2] * z
             low2, high2 = min(low2, at), max(high2, at)
-        left = False
-        for k in range(len(moves)):
-            if inside[k]:
-                shift = moves[k, 0] * x + moves[k, 1] * y + moves[k, 2] * z
-                inside[k] = min(high + shift - low2, high2 - low - shift) > depth
-                left |= inside[k]
-        if not left:
-            break
-    return inside
+        shift = offset[0] * x + offset[1] * y + offset[2] * z
+        speed = way[0] * x + way[1] * y + way[2] * z
+        start, end = _within(
+            low2 - high - shift + depth, high2 - low - shift - depth, speed, start, end
+        )
+        if not start < end:
+            return np.inf
+    return start
 
 
 @kernel
-def _hits(
+def _within(
+    least: float, most: float, speed: float, start: float, end: float
+) -> tuple[float, float]:
+    """The part of ``start`` .. ``end`` where ``speed`` times the way is between two bounds; it is
+    empty where the first number is not below the second."""
+    if speed > 0:
+        return max(start, least / speed), min(end, most / speed)
+    if speed < 0:
+        return max(start, most / speed), min(end, least / speed)
+    return (start, end) if least < 0 < most else (start, start)
+
+
+@kernel
+def _first_hit(
     block: int,
     lower: np.ndarray,
     upper: np.ndarray,
     others: np.ndarray,
-    moves: np.ndarray,
+    path: np.ndarray,
     solids: _Solids,
     depth: float,
     any_one: bool,
-) -> np.ndarray:
-    """bool[n], see :meth:`Clearance._hits`: what is apart along x, y or z is apart, and only what
-    is not is told apart by its faces and edges.
+) -> float:
+    """See :meth:`Clearance._first_hit`: what is apart along x, y or z is apart, and only what is
+    not is told apart by its faces and edges.
 
     Args:
         block: its number; lower, upper: float64[B, 3], boxes of all blocks [m].
-        others: bool[B]; moves: float64[n, 3] [m]; solids: see :class:`_Solids`.
-        depth: overlap that is rounding [m]; any_one: stop at the first that is hit.
+        others: bool[B]; path: float64[2, 3], offset [m] and way; solids: see :class:`_Solids`.
+        depth: overlap that is rounding [m]; any_one: stop at any that is hit.
     """
-    vertices, normals, edges, start, part = solids
-    hits = np.zeros(len(moves), np.bool_)
-    first, last = lower[block].copy(), upper[block].copy()
-    for c in range(3):
-        first[c] += moves[:, c].min()
-        last[c] += moves[:, c].max()
-    met = np.empty(len(moves), np.int64)
+    vertices, normals, edges, begin, part = solids
+    offset, way = path
+    found = np.inf
     for n in range(len(lower)):
         if not others[n]:
             continue
-        apart = False
+        # What is met behind the first that is met so far does not matter.
+        start, end = 0.0, found
         for c in range(3):
-            apart |= not (lower[n, c] < last[c] and upper[n, c] > first[c])
-        if apart:
+            least = lower[n, c] - upper[block, c] - offset[c]
+            most = upper[n, c] - lower[block, c] - offset[c]
+            start, end = _within(least, most, way[c], start, end)
+        if not start < end:
             continue
-        count = 0
-        for k in range(len(moves)):
-            apart = hits[k]
-            for c in range(3):
-                move = moves[k, c]
-                apart |= not (lower[n, c] < upper[block, c] + move)
-                apart |= not (upper[n, c] > lower[block, c] + move)
-            if not apart:
-                met[count] = k
-                count += 1
-        if not count:
-            continue
-        some = moves[met[:count]]
         for a in range(part[block], part[block + 1]):
+            one = _ConvexSolid(
+                vertices[begin[0, a] : begin[0, a + 1]],
+                normals[begin[1, a] : begin[1, a + 1]],
+                edges[begin[2, a] : begin[2, a + 1]],
+            )
             for b in range(part[n], part[n + 1]):
-                deep = _deep(
-                    vertices[start[0, a] : start[0, a + 1]],
-                    normals[start[1, a] : start[1, a + 1]],
-                    edges[start[2, a] : start[2, a + 1]],
-                    vertices[start[0, b] : start[0, b + 1]],
-                    normals[start[1, b] : start[1, b + 1]],
-                    edges[start[2, b] : start[2, b + 1]],
-                    some,
-                    depth,
+                two = _ConvexSolid(
+                    vertices[begin[0, b] : begin[0, b + 1]],
+                    normals[begin[1, b] : begin[1, b + 1]],
+                    edges[begin[2, b] : begin[2, b + 1]],
                 )
-                for k in range(count):
-                    hits[met[k]] |= deep[k]
-        if any_one and hits.any():
+                found = min(
+                    found, _first_deep(one, two, offset, way, depth, start, min(end, found))
+                )
+        if any_one and found < np.inf:
             break
-    return hits
-
-
-@kernel
-def _way_out(
-    block: int,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    others: np.ndarray,
-    way: np.ndarray,
-    offset: np.ndarray,
-) -> float:
-    """How far along a unit vector a block is from an offset on until it is beyond all others."""
-    length = np.inf
-    for c in range(3):
-        if abs(way[c]) <= 1e-9:
-            continue
-        far = -np.inf
-        for n in range(len(lower)):
-            if others[n]:
-                if way[c] > 0:
-                    far = max(far, upper[n, c] - lower[block, c] - offset[c])
-                else:
-                    far = max(far, upper[block, c] + offset[c] - lower[n, c])
-        length = min(length, far / abs(way[c]))
-    return length
+    return found
 
 
 def _sphere(count: int) -> np.ndarray:

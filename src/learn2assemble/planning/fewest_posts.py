@@ -63,7 +63,7 @@ def _next(rules: Forward, state: State) -> Iterator[Doing]:
         base = rules.posts[post - rules.count].base
         if not state.present[post] and (base < 0 or state.present[base]):
             yield Doing("place", post)
-    if not all(rules.site.ways.free(block, state.present) for block in ready):
+    if not all(rules.site.ways.free(block, state.present, sliding=False) for block in ready):
         missing = 0  # A post may be in the way.
     for prop in (rules.site.prop & state.present).nonzero()[0].tolist() if not missing else ():
         yield Doing("remove", prop)
@@ -72,7 +72,7 @@ def _next(rules: Forward, state: State) -> Iterator[Doing]:
 def _proven(rules: Forward, state: State, done: Doing) -> bool:
     """Whether the last step to a state can be done, and all stands and rests after it."""
     action, block, *_ = done
-    if not rules.site.ways.free(block, state.present):
+    if not rules.site.ways.free(block, state.present, sliding=False):
         return False
     if action == "remove":
         near = rules.site.near[block]

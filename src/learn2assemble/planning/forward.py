@@ -227,12 +227,13 @@ class Forward:
 
     def moves(self, last: Transition) -> Iterator[Transition]:
         """What may come next, the least help first."""
-        state, ready, closing = last.state, list[int](), list[int]()
+        state, ready, closing, tight = last.state, list[int](), list[int](), list[int]()
         waiting = list[tuple[int, list[int]]]()
         if self._staying > self.count and not self.missing(state)[0]:
             yield from self._clearing(last)
         for b in self.ready(last):
-            if not self.site.ways.free(b, state.present):
+            if not self.site.ways.free(b, state.present, sliding=False):
+                tight.append(b)
                 continue
             after = state.change(place=[b])
             if self._closes(after, b):
@@ -265,6 +266,10 @@ class Forward:
             if self.stands(after := state.change(place=[b]), [b]):
                 for step in self._comes(b, state):
                     yield Transition((step,), after, last.gone)
+        # What slides in between others may need more room than it has: where nothing else comes.
+        for b in tight:
+            if not self.walled(state.change(place=[b])):
+                yield from self._with(last, b, ())
 
     def _clearing(self, last: Transition) -> Iterator[Transition]:
         """What stayed until all blocks were there goes, one after the other from outside."""
@@ -301,7 +306,7 @@ class Forward:
         if not self.wanted[block]:
             return False
         beside = [n for n in self.site.near[block] if self.wanted[n] and not there[n]]
-        return not all(self.site.ways.free(n, there) for n in beside)
+        return not all(self.site.ways.free(n, there, sliding=False) for n in beside)
 
     def _holding(self, last: Transition, ready: list[int]) -> Iterator[Transition]:
         """A block that is held as it comes, while others may be let go."""
@@ -309,7 +314,7 @@ class Forward:
         held = np.flatnonzero(state.held).tolist()
         left = np.flatnonzero(~state.present[: self.count]).tolist()
         beside = [b for b in left if b not in ready and state.present[list(near[b])].any()]
-        beside = [b for b in beside if self.site.ways.free(b, state.present)]
+        beside = [b for b in beside if self.site.ways.free(b, state.present, sliding=False)]
         close, rank = {n for b in held for n in near[b]}, self.site.rank
         order = sorted([*ready, *beside], key=lambda b: (b not in close, b in beside, rank[b]))
         for size in range(self.holds + 1):
@@ -394,7 +399,7 @@ class Forward:
             state = after
         after = state.change(place=[block])
         comes = any(law.rests(after, block) for law in self.laws)
-        comes = comes and self.site.ways.free(block, state.present)
+        comes = comes and self.site.ways.free(block, state.present, sliding=not posts)
         if comes and self.stands(after, [block], most):
             for step in self._comes(block, state):
                 yield Transition((*steps, step), after, last.gone)

@@ -253,7 +253,7 @@ class _Beam:
         fixed, near = self.rules.site.fixed, self.rules.site.near[block]
         others = present.copy()
         others[block] = False
-        if not self.rules.site.ways.free(block, others):
+        if not self.rules.site.ways.free(block, others, sliding=False):
             return False
         new = [block] if action == "place" else [n for n in near if present[n] and not fixed[n]]
         if self.rules.stands(state, new):

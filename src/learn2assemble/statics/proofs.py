@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from learn2assemble.errors import InputError, is_number
 
 LOCAL, PROGRAM = "bed faces, local", "bed faces, program"
@@ -21,6 +23,23 @@ that of blocks that came since is not looked at, and they are dry."""
 
 Bounds = float | tuple[float, float] | None
 """A number, or the smallest and the largest of a range; None: that of the kit."""
+
+
+def widest_joint(gap: Bounds, usual: float, cell: Sequence[float]) -> float:
+    """The width of the widest vertical joints between blocks of cells [m].
+
+    Args:
+        gap: what was asked for.
+        usual: that of the kit [m].
+        cell: edges of a cell [m].
+
+    Raises:
+        InputError: where it is not below half the width of a cell.
+    """
+    widest, limit = value_range(gap, usual, "gap")[1], min(cell[:2]) / 2
+    if widest >= limit:
+        raise InputError("gap", widest, f"less than half the pitch, {limit:g} m")
+    return widest
 
 
 def value_range(given: Bounds, default: float, what: str) -> tuple[float, float]:

@@ -31,7 +31,7 @@ from learn2assemble.planning.tiling.planners import EXACT, PlanLimits
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.tile import MORE_TIME, Tiling, owners
 from learn2assemble.planning.tiling.world import LatticeWorld
-from learn2assemble.statics.proofs import Bounds, value_range
+from learn2assemble.statics.proofs import Bounds, widest_joint
 
 SEARCH, STACKS = "search", "stacks"
 """Who else plans: :mod:`.search`, and :mod:`.stacks` where one stack under every goal is enough."""
@@ -73,6 +73,7 @@ def plan_goals(
         InputError: for loads that the heap cannot carry, and goals that are too large.
     """
     started = time.perf_counter()
+    widest_joint(gap, goals.kit.joint_gap, goals.kit.pitch)
     problem, reason = prepare(goals)
     stages: list[plans.SearchStage] = []
     blocks: tuple[BlockPlacement, ...] = ()
@@ -244,7 +245,7 @@ def _report(goals: Goals, answer: _GoalAnswer, limits: PlanLimits) -> Plan:
         ordering = order(
             tiling, kit, friction=limits.friction, gap=gap, seconds=seconds, given=True
         )
-        widest = value_range(gap, kit.joint_gap, "gap")[1]
+        widest = widest_joint(gap, kit.joint_gap, kit.pitch)
         kept = tuple(block for block in blocks if not block.prop)
         stack = find_stack(kept, kit, goals.shape, widest)
         owner = owners(kept, kit, goals.shape)

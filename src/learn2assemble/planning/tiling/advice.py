@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from learn2assemble.assembly.appearance import millimetres
 from learn2assemble.assembly.kit import Cell, Kind, Kit, kit_names, load_kit
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.tiling.exact import plan_exact
@@ -119,7 +120,12 @@ def _trials(tiling: Tiling, kit: Kit, options: dict[str, Any]) -> Iterator[_Tria
     for name in kit_names():
         other = load_kit(name)
         if name != kit.name and other.joint.law == "dry":
-            yield f"kit `{name}` does", wanted, other.at_pitch(kit.pitch), {}
+            yield (
+                f"kit `{name}`{_with_cells(kit, other)} does",
+                wanted,
+                other.at_pitch(kit.pitch),
+                {},
+            )
     cells = np.array(tiling.lacking, np.int64).reshape(-1, 3)
     for what, under in (
         ("what is under the overhangs", cells),
@@ -154,6 +160,13 @@ def _trials(tiling: Tiling, kit: Kit, options: dict[str, Any]) -> Iterator[_Tria
     if coarser[:, :, 0].any() and min(wanted.shape[0], wanted.shape[2]) > 1:
         twice = replace(kit, pitch=tuple(2 * p for p in kit.pitch))
         yield "with cells twice as large it stands", coarser, twice, {}
+
+
+def _with_cells(kit: Kit, other: Kit) -> str:
+    """How another kit is asked for in the cells of a kit; nothing where they are its own."""
+    if np.allclose(kit.pitch, other.pitch, rtol=1e-9, atol=0):
+        return ""
+    return f" with cells of {millimetres(*kit.pitch)}"
 
 
 def _bridging(wanted: np.ndarray, lacking: Collection[Cell]) -> list[int]:

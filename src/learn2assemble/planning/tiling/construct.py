@@ -28,7 +28,7 @@ from learn2assemble.planning.tiling.planners import (
     PlannerChoice,
 )
 from learn2assemble.planning.tiling.tile import Tiling
-from learn2assemble.statics.proofs import TIGHT, Bounds
+from learn2assemble.statics.proofs import TIGHT, Bounds, widest_joint
 from learn2assemble.values import rounded
 
 
@@ -67,6 +67,7 @@ def plan_cells(
     started = time.perf_counter()
     if not isinstance(kit, Kit):
         kit = load_kit(kit or design.kit or DEFAULT_KIT).at_pitch(design.cell)
+    widest_joint(gap, kit.joint_gap, kit.pitch)
     progress("choosing blocks and proving their order")
     left = max(seconds - (time.perf_counter() - started), 1.0)
     limits = PlanLimits(friction, gap, props, left)

@@ -39,6 +39,7 @@ from learn2assemble.statics.proofs import (
     TIGHT,
     Bounds,
     value_range,
+    widest_joint,
 )
 from learn2assemble.statics.sideways import Sideways
 from learn2assemble.statics.states import State
@@ -186,8 +187,12 @@ class CellWays:
         self.cells: list[np.ndarray] = [placement_cells(block, kit) for block in self.blocks]
         self._owner = owners(self.blocks, kit, tiling.wanted.shape)
 
-    def free(self, block: int, present: np.ndarray) -> bool:
-        """Whether a block can be moved out from among those that are there (bool[n])."""
+    def free(self, block: int, present: np.ndarray, sliding: bool = True) -> bool:
+        """Whether a block can be moved out from among those that are there (bool[n]).
+
+        Args:
+            sliding: makes no difference: a prop goes any way its cells have room for.
+        """
         if not self.blocks[block].prop:
             return True
         return leaves(np.append(present, False)[self._owner], self.cells[block])
@@ -218,12 +223,9 @@ def order(
     """
     clock = Clock(seconds, progress=progress)
     ends = value_range(friction, kit.friction, "friction")
-    widest = value_range(gap, kit.joint_gap, "gap")[1]
+    widest = widest_joint(gap, kit.joint_gap, kit.pitch)
     if law == TIGHT and widest > 0:
         raise InputError("gap", widest, "0, for tight joints")
-    limit = min(kit.pitch[:2]) / 2
-    if widest >= limit:
-        raise InputError("gap", widest, f"less than half the pitch, {limit:g} m")
     blocks, count = tiling.placements, len(tiling.placements)
     stack, nothing = find_stack(blocks, kit, tiling.wanted.shape, widest), np.zeros(count, bool)
     loads = ByLoads(stack, nothing, ends[0], clock)
