@@ -510,13 +510,6 @@ def _best_rest(piece: Piece, arm: Arm) -> np.ndarray:
     return piece.rest if best is None else best[1]
 
 
-def yaw_of(quaternion: np.ndarray, turns: Sequence[np.ndarray]) -> float:
-    """Yaw of a block [rad]: of the most upright of the orientations in which it looks the same."""
-    now = quaternion_matrix(quaternion)
-    turn = max((now @ turn for turn in turns), key=lambda t: round(float(t[2, 2]), 6))
-    return math.atan2(turn[1, 0], turn[0, 0])
-
-
 def middle_of(pieces: Sequence[Piece]) -> np.ndarray:
     """float64[2]: where a structure stands, to the millimetre [m]: at the origin, as designs do, or
     elsewhere, as blocks may that are given.

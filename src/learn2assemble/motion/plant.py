@@ -181,9 +181,6 @@ class Request(NamedTuple):
     """float64[7]: where it shall be then, or was before."""
 
 
-REQUESTS = ("present", "return", "place", "remove", "join")
-
-
 # ---------------------------------------------------------------- what came of it
 
 

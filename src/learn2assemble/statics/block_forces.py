@@ -435,29 +435,6 @@ def _wrenches(arm: np.ndarray, frame: np.ndarray, reach: np.ndarray) -> np.ndarr
     return np.concatenate([frame, moment], -1)
 
 
-def balancing_forces(
-    matrix: sp.csc_matrix, load: np.ndarray, soft: np.ndarray, friction: float
-) -> np.ndarray | None:
-    """Of the forces float64[k, 3] with ``matrix @ forces = load`` in Coulomb's cone, those of least
-    elastic energy, or None where there are none.
-
-    Args:
-        matrix: [rows, 3 k], columns of normal and tangential forces of each corner in turn.
-        soft: float64[k], compliance of the corners.
-    """
-    rows, corners = len(load), len(soft)
-    filled = np.zeros(rows, bool)
-    filled[matrix.indices] = True
-    if np.abs(load[~filled]).max(initial=0.0) > 0 or not corners:
-        return None
-    cone, parts = _cones(np.full(corners, friction))
-    whole = sp.csc_matrix(sp.vstack([matrix, cone]))
-    bound = np.concatenate([load, np.zeros(cone.shape[0])])
-    energy = sp.diags(np.repeat(soft * 1e-3, 3))
-    answer = _run(energy, np.zeros(3 * corners), whole, bound, [_conic.ZeroConeT(rows), *parts])
-    return None if answer is None else np.array(answer.x).reshape(-1, 3)
-
-
 def _cones(friction: np.ndarray) -> tuple[sp.csr_matrix, list[Any]]:
     """Coulomb's law: the negated rows of forces, and the cones they are in.
 

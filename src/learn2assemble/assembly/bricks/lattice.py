@@ -82,7 +82,7 @@ class StudLattice:
         self._owner, cells = _cells(self.low, self.size)
         low = cells.min(0) - 1
         self._stride = cells.max(0) - low + 3
-        self._low, self._key = low, self._keys(cells, low)
+        self._key = self._keys(cells, low)
         order = np.argsort(self._key, kind="stable")
         self._sorted, self._by_key = self._key[order], self._owner[order]
         twice = np.flatnonzero(np.diff(self._sorted) == 0)
@@ -119,24 +119,6 @@ class StudLattice:
         low = np.maximum(self.low[a], self.low[b])
         high = np.minimum(self.high[a], self.high[b])
         return Sides(a, b, axis, low, high)
-
-    def column_above(self, brick: int, present: np.ndarray) -> bool:
-        """Whether nothing that is there stands over a brick."""
-        return not self._over(brick, present, 1)
-
-    def column_below(self, brick: int, present: np.ndarray) -> bool:
-        """Whether nothing that is there stands under a brick; the ground does not count."""
-        return not self._over(brick, present, -1)
-
-    def _over(self, brick: int, present: np.ndarray, way: int) -> bool:
-        low, high = self.low, self.high
-        meet = (
-            present & (low[:, :2] < high[brick, :2]).all(1) & (high[:, :2] > low[brick, :2]).all(1)
-        )
-        meet[brick] = False
-        if way > 0:
-            return bool((meet & (low[:, 2] >= high[brick, 2])).any())
-        return bool((meet & (high[:, 2] <= low[brick, 2])).any())
 
     def _keys(self, cells: np.ndarray, low: np.ndarray) -> np.ndarray:
         x, y, z = (cells - low).T
