@@ -438,6 +438,16 @@ BAD = [
         "unit: got 'mm', expected none",
     ),
     BadCall(
+        "build blocks whose unit is known",
+        ["build", WALL, "--out", "{d}/new", "--unit", "mm"],
+        "unit: got 'mm', expected none",
+    ),
+    BadCall(
+        "build blocks of another size",
+        ["build", WALL, "--out", "{d}/new", "--size", "2"],
+        "size: got 2.0, expected none",
+    ),
+    BadCall(
         "check blocks that are upright", ["check", WALL, "--up", "y"], "up: got 'y', expected none"
     ),
     BadCall(

@@ -116,8 +116,18 @@ def _blocks(file: DesignFile, kit: Kit | None, reading: Mapping[str, Any]) -> As
     if file.kind == "bricks":
         _refuse(reading, "none; a file of bricks says it all", "kit")
         joints = kit or joints
-    document = file.document
-    return parse_assembly(file.content, file.source, file.name, document=document, kit=joints)
+    document, unit = file.document, None
+    if file.kind == "assembly":
+        # A file of COMPAS does not say its unit.
+        units = ("unit",) if "dtype" in document else ()
+        _refuse(
+            reading, "none; the blocks of this file are given as they are", "blocks", "kit", *units
+        )
+        if (given := Reading.of({k: reading[k] for k in units if k in reading})).unit is not None:
+            unit = UNITS[given.unit]
+    return parse_assembly(
+        file.content, file.source, file.name, document=document, unit=unit, kit=joints
+    )
 
 
 def _objects(file: DesignFile, kit: Kit | None, reading: Mapping[str, Any]) -> object:
