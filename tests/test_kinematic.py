@@ -202,7 +202,7 @@ def test_collisions_agree_with_distances_of_all_pairs(seed: int) -> None:
 
     thing = ("table", "block", "filler")
     things = [g for g in range(m.ngeom) if name(g).startswith(thing)]
-    held = [g for g in range(m.ngeom) if name(g).startswith("carried")]
+    held = [g for g in range(m.ngeom) if name(g).startswith("what is held")]
     links = [g for g in range(m.ngeom) if g not in (*things, *held) and m.geom_group[g] == 3]
     nearest = min(
         mujoco.mj_geomDistance(m, d, a, b, 0.05, None)
@@ -308,7 +308,7 @@ def test_what_hangs_from_the_hand_collides(panda: KinematicCell) -> None:
     world = scene([(0, 0, 0), (0, 0, 1)], [(1, -4, 0), (1, -4, 1)], [0, 1, 2, 2])
     found = panda.attempt(world, Move(3, cell(0, 0, 2), *BB))
     assert found.outcome == Outcome.PLACE_COLLISION
-    assert found.detail.startswith("carried")
+    assert found.detail.startswith("what is held")
     assert panda.attempt(world, Move(3, cell(0, 0, 3), *BB)).reached
 
 
@@ -387,7 +387,7 @@ def test_a_cup_fills_the_hole_that_fingers_cannot(name: str, gap: float) -> None
         grasp = hands(arm.arm, HALVES)[0]
         found_off = arm.attempt(world, Move(8, place + off, grasp, grasp))
         assert found_off.outcome == Outcome.PLACE_COLLISION
-        assert found_off.detail.startswith("carried")
+        assert found_off.detail.startswith("what is held")
 
 
 HALVES = np.array([0.05, 0.025, 0.025])
@@ -441,7 +441,7 @@ def test_an_object_may_have_many_boxes() -> None:
     assert arm.attempt(world, Move(13, np.array([0.1, 0.05, 0.12]), grasp, grasp)).reached
     found = arm.attempt(world, Move(13, np.array([0.0, 0.05, 0.08]), grasp, grasp))
     assert found.outcome == Outcome.PLACE_COLLISION
-    assert "carried" in found.detail
+    assert "what is held" in found.detail
 
 
 @settings(deadline=None, max_examples=30)

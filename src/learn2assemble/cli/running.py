@@ -71,9 +71,11 @@ def _run(options: argparse.Namespace, output: Output) -> int:
         expected = "a run to --resume" if options.resume else "--resume, or that file away"
         raise InputError("--resume", got, expected)
     site = Site() if options.layout is None else read_site(options.layout)
-    plan = load_plan(options.plan)
     for option in ("step", "until"):
-        if getattr(options, option) and len(plan.arms) > 1 and plan.by_turns:
+        if not getattr(options, option):
+            continue
+        plan = load_plan(options.plan)
+        if len(plan.arms) > 1 and plan.by_turns:
             expected = "none where arms hold blocks, or posts are set by hand between two arms: "
             expected += "what was in a hand would be gone, so such a run cannot be gone on with"
             raise InputError(f"--{option}", getattr(options, option), expected)
@@ -88,7 +90,7 @@ def _run(options: argparse.Namespace, output: Output) -> int:
     )
     robots = options.robot or [SIMULATION]
     ran = run(
-        plan,
+        options.plan,
         robots,
         layout=site,
         state=state,
