@@ -310,6 +310,11 @@ def test_an_arm_from_its_urdf_builds_and_its_program_is_played(
     assert replay_program(tmp_path / "six.csv", "six").same
     with pytest.raises(InputError, match="the arm six has no fingers"):
         get_arm("six", "gripper")
+    # Without fingers it holds bricks by their studs.
+    bricks = l2a.build("examples/bricks/stair.txt", kit="duplo", arm="six", physics="kinematic")
+    assert bricks.complete, bricks.reason
+    assert bricks.arm is not None
+    assert bricks.arm.tool == "socket-large"
 
 
 @pytest.mark.parametrize(
