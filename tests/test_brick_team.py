@@ -9,7 +9,9 @@ import pytest
 
 import learn2assemble as l2a
 from brick_data import DUPLO, duplo, scene_of
+from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
 from learn2assemble.assembly.joints import Joint
+from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.arrange import FINGERS, put_beside, steps_before
 from learn2assemble.cell.bricks import BrickStates, BrickStructure
 from learn2assemble.cell.crew import Member
@@ -78,6 +80,18 @@ def test_what_no_order_bears_to_be_pressed_is_refused() -> None:
     plan = l2a.build(hook, arm=("panda", "panda"), physics="kinematic")
     assert plan.status == "refused"
     assert "neither arm can place" in (plan.reason or "")
+
+
+def test_arms_whose_fingers_have_no_room_are_told_of_sockets() -> None:
+    bricks = [((4, 2), (0, 0, 0)), *(((1, 2), (x, 0, 1)) for x in range(4))]
+    made = [Brick((x, y, 3 * z), (a, b, 3), f"{x} {z}") for (a, b), (x, y, z) in bricks]
+    row = assembly_of(BrickModel(tuple(made)), load_kit("lego"), "row")
+    plan = l2a.build(row, arm=("panda", "panda"), physics="kinematic")
+    assert plan.status == "refused"
+    said = "; with `tool=socket` there is an order in which the arms do every step"
+    assert (plan.reason or "").endswith(said)
+    plan = l2a.build(row, arm=("panda", "panda"), tool="socket", physics="kinematic")
+    assert plan.complete, plan.reason
 
 
 def test_a_brick_comes_to_what_bears_its_press(stair: Ordered) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence, Set
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -24,10 +25,10 @@ from learn2assemble.cell.bricks import BrickStructure
 from learn2assemble.cell.building import Prepared
 from learn2assemble.cell.crew import Member
 from learn2assemble.cell.pieces import middle_of, with_rests
-from learn2assemble.cell.reach import cells_of, with_home
+from learn2assemble.cell.reach import cells_of, with_home, with_other_tools
 from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.taking_apart import arrange_bricks, plan_in_order
-from learn2assemble.cell.team import told_of
+from learn2assemble.cell.team import set_up_team, site_arm_of, told_of
 from learn2assemble.cell.workcell import ROOMS, Job, Progress, StepOf, Workcell, job_of
 from learn2assemble.cell.world import RETURNED, STANDING, WorkcellBlocks
 from learn2assemble.errors import InputError
@@ -35,6 +36,7 @@ from learn2assemble.motion.plant import Plant
 from learn2assemble.motion.safety import guarded
 from learn2assemble.planning.brick_plan import plan_for_arm, with_hands
 from learn2assemble.planning.plan import Plan
+from learn2assemble.progress import silent
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematic import KinematicCell
 
@@ -242,15 +244,14 @@ def bricks_by_team(
     plan = replace(plan_for_arm(assembly), arms=told_of(members))
     if not plan.complete or plan.assembly is None:
         return plan, ()
-    jobs = jobs_of(plan, members, workcell, 0.0)
-    hands = [Hands(job, KinematicCell(job.arm, cells_of(job))) for job in jobs]
-    order = arrange_bricks(hands, BrickStructure(jobs[0]), progress)
+    jobs, order = _arranged(plan, members, workcell, progress)
     if not order.stuck:
         return plan_in_order(plan, order.steps), order.steps
     number, why = next(iter(order.stuck.items()))
     blocks = [jobs[0].pieces[k].id for k in order.stuck]
     listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
-    reason, advice = f"{jobs[0].pieces[number].id}: {why}", with_hands(assembly)
+    reason = f"{jobs[0].pieces[number].id}: {why}"
+    advice = _with_another_tool(plan, members, workcell, progress) or with_hands(assembly)
     refused = replace(
         plan,
         status="refused",
@@ -261,3 +262,29 @@ def bricks_by_team(
         assembly=replace(plan.assembly, steps=(), not_built=()),
     )
     return refused, ()
+
+
+def _arranged(
+    plan: Plan, members: Sequence[Member], workcell: Workcell, progress: Progress
+) -> tuple[tuple[Job, Job], Arranged]:
+    """What arms have to do, and the order in which they press bricks together."""
+    jobs = jobs_of(plan, members, workcell, 0.0)
+    hands = [Hands(job, KinematicCell(job.arm, cells_of(job))) for job in jobs]
+    return jobs, arrange_bricks(hands, BrickStructure(jobs[0]), progress)
+
+
+def _with_another_tool(
+    plan: Plan, members: Sequence[Member], workcell: Workcell, progress: Progress
+) -> str:
+    """With which other tool arms press all bricks together, in one clause; empty where that is not
+    found."""
+    assembly = plan.assembly
+    assert assembly is not None
+    for tool in with_other_tools(members[0].job.arm, assembly.joint.studs):
+        progress(f"trying whether the arms do it with the tool {tool}")
+        with suppress(InputError):  # An arm has none, or there is no room for magazines.
+            arms = [site_arm_of(member)._replace(tool=tool) for member in members]
+            others = set_up_team(assembly, arms, workcell.site)
+            if not _arranged(plan, others, workcell, silent)[1].stuck:
+                return f"with `tool={tool}` there is an order in which the arms do every step"
+    return ""

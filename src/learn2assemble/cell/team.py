@@ -457,7 +457,7 @@ def plan_by_team(
 def told_of(members: Sequence[Member]) -> tuple[BuilderArm, ...]:
     """What a plan tells of the arms that build."""
     level = members[0].job.arm.works_level
-    arms = [_site_arm(member) for member in members]
+    arms = [site_arm_of(member) for member in members]
     own = [piece for piece in members[0].job.pieces if not piece.fixed]
     reached = team_reach(arms, own, members[0].job.assembly.joint.studs, level)
     return tuple(
@@ -481,7 +481,8 @@ def _by_hand(plan: Plan) -> Plan:
     return replace(plan, steps=steps, assembly=replace(plan.assembly, steps=tuple(made)))
 
 
-def _site_arm(member: Member) -> SiteArm:
+def site_arm_of(member: Member) -> SiteArm:
+    """The arm as a layout says it, at its base and with its tool."""
     arm = member.job.arm
     x, y, z = arm.base_position.tolist()
     base = x, y, z, arm.base_yaw - get_arm(arm.name).base_yaw
