@@ -15,6 +15,7 @@ from learn2assemble.assembly.joints import Joint
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.bricks import BrickStates
 from learn2assemble.cell.reach import ReachReport
+from learn2assemble.cell.team import TeamReach
 from learn2assemble.cell.workcell import ROOMS
 from learn2assemble.errors import InputError
 from learn2assemble.export.robot_programs import export_program, read_program
@@ -368,5 +369,11 @@ def test_what_is_asked_of_an_arm_that_its_build_does_not_take_is_refused() -> No
     assert (found.tool, found.complete) == ("gripper", True)
     with pytest.raises(InputError, match="cup does not hold on studs"):
         l2a.reach(STAIR, arm="panda", tool="suction")
+    found = l2a.reach(STAIR, arm="ur5e", tool="socket-large")
+    assert isinstance(found, ReachReport)
+    assert found.complete
+    both = l2a.reach(STAIR, arm=("ur5e", "panda"), tool="socket-large")
+    assert isinstance(both, TeamReach)
+    assert not both.out
     with pytest.raises(InputError, match="holds: got 2, expected none with one arm"):
         l2a.build(STAIR, arm="panda", holds=2)

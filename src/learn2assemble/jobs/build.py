@@ -297,7 +297,7 @@ def reach(
     _check_names(reach, reading)
     how = ArmChoice(arm_names(arm), tool, layout, PLANNED, (0.0, 0.0), None, 0)
     how.check()
-    how.workcell()  # A layout that is wrong is said before anything is planned.
+    how.team()  # A layout that is wrong is said before anything is planned.
     plan = build(design, planner="exact", kit=kit, seconds=seconds, **reading)
     studs = 0.0 if plan.assembly is None else plan.assembly.joint.studs
     if how.several:
