@@ -14,7 +14,7 @@ import numpy as np
 
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
 from learn2assemble.motion.driver import driver_of
-from learn2assemble.motion.places import PickPlace, Stands, half_turn, ranges
+from learn2assemble.motion.places import Lying, PickPlace, half_turn, ranges
 from learn2assemble.motion.program import Program
 from learn2assemble.motion.settings import ProgramSettings
 from learn2assemble.robot.arm import Arm, get_arm
@@ -115,9 +115,7 @@ def stands_data(program: Program, arm: Arm) -> list[dict[str, Any]]:
     ]
 
 
-def _seen_from_base(
-    one: PickPlace | Stands, middle: np.ndarray, turn: np.ndarray
-) -> tuple[np.ndarray, float]:
+def _seen_from_base(one: Lying, middle: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, float]:
     """Middle float64[3] [m] and direction of the long side [rad] of what lies somewhere in the base
     frame, in which the world is at ``middle`` float64[3], turned by ``turn`` float64[3, 3]."""
     yaw = math.atan2(turn[1, 0], turn[0, 0])
@@ -259,7 +257,7 @@ def _kinds(program: Program) -> list[str]:
     return ["  ".join(f"{w:{n}}" for w, n in zip(row, wide, strict=True)).rstrip() for row in rows]
 
 
-def size_words(place: PickPlace | Stands) -> str:
+def size_words(place: Lying) -> str:
     """Long side, short side and height of a block as it lies [mm]."""
     return " x ".join(f"{1000 * v:.1f}" for v in place.size)
 
@@ -291,7 +289,7 @@ def _places(program: Program, arm: Arm, settings: ProgramSettings, refill: str) 
     return lines
 
 
-def _corners(one: PickPlace | Stands) -> list[str]:
+def _corners(one: Lying) -> list[str]:
     if one.corners is None or len(one.corners) > _MOST_CORNERS:
         return []
     shown = np.round(1000 * one.corners, 1) + 0.0

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 from typing import Any, NamedTuple
 
@@ -33,23 +34,30 @@ class Pick(NamedTuple):
     """The block comes there after the program has begun: someone has to lay it there first."""
 
 
-class PickPlace(NamedTuple):
-    """Where blocks of a kind are taken from, one after the other."""
+@dataclass(frozen=True, eq=False)
+class Lying:
+    """How something lies, or stands, before an arm."""
 
-    number: int
-    """1, 2, ... in the order in which they are needed."""
     kind: str
-    """Of its blocks; empty where nobody tells."""
+    """Of it; empty where nobody tells."""
     size: np.ndarray
-    """float64[3]: long side, short side and height of the box round a block as it lies [m]."""
+    """float64[3]: long side, short side and height of the box round it as it lies [m]."""
     mass: float
-    """Of a block [kg]."""
+    """[kg]"""
     centre: np.ndarray
     """float64[3]: middle of that box [m, world]."""
     turn: float
     """Direction of its long side: from x about z, above -pi/2, up to pi/2 [rad]."""
     corners: np.ndarray | None
-    """float64[k, 3]: corners of a block that is no box as it lies there [m, world]."""
+    """float64[k, 3]: its corners where it is no box [m, world]."""
+
+
+@dataclass(frozen=True, eq=False)
+class PickPlace(Lying):
+    """Where blocks of a kind are taken from, one after the other; how one lies there."""
+
+    number: int
+    """1, 2, ... in the order in which they are needed."""
     blocks: tuple[str, ...]
     """Names of its blocks in the order in which they are taken."""
     steps: tuple[int, ...]
@@ -78,23 +86,12 @@ class PickPlace(NamedTuple):
         return times + ", first empty" * (not self.at_start)
 
 
-class Stands(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Stands(Lying):
     """What stands there and is taken from no place."""
 
     name: str
     """Of it; empty: an obstacle."""
-    kind: str
-    """Empty where nobody tells."""
-    size: np.ndarray
-    """float64[3], as :attr:`PickPlace.size`."""
-    mass: float
-    """[kg]"""
-    centre: np.ndarray
-    """float64[3]: middle of the box round it [m, world]."""
-    turn: float
-    """As :attr:`PickPlace.turn`."""
-    corners: np.ndarray | None
-    """float64[k, 3]: its corners where it is no box [m, world]."""
     by_hand: bool
     """It is set by hand during the build; else it stands there from the start."""
 
@@ -195,11 +192,16 @@ def _standing(record: BuildRecord, number: int, poses: np.ndarray, by_hand: bool
     cells = record.objects[number]
     pairs = zip(cells, poses, strict=True)
     points = np.concatenate([_corners(record, cell, pose) for cell, pose in pairs])
-    size, centre, turn = _box(points)
     name = record.names[number] if record.names else name_of(record, cells[0])
+    return Stands(**vars(_seen(record, number, points)), name=name, by_hand=by_hand)
+
+
+def _seen(record: BuildRecord, number: int, points: np.ndarray) -> Lying:
+    """How an object lies whose corners are at float64[k, 3] [m]."""
+    cells, (size, centre, turn) = record.objects[number], _box(points)
     kind = record.kinds[number] if record.kinds else ""
     corners = _outline(record, cells, points)
-    return Stands(name, kind, size, _mass(record, cells), centre, turn, corners, by_hand)
+    return Lying(kind, size, _mass(record, cells), centre, turn, corners)
 
 
 def _outline(record: BuildRecord, cells: tuple[int, ...], points: np.ndarray) -> np.ndarray | None:
@@ -221,20 +223,14 @@ def _lying(record: BuildRecord, number: int, step: StepRecord) -> PickPlace:
         seen = poses[step.cells[0]]
         turn = quaternion_matrix(step.source[3:]) @ quaternion_matrix(seen[3:]).T
         points = step.source[:3] + (points - seen[:3]) @ turn.T
-    size, centre, turn = _box(points)
-    kind = record.kinds[number] if record.kinds else ""
+    lies = _seen(record, number, points)
     return PickPlace(
-        0,
-        kind,
-        size,
-        _mass(record, cells),
-        centre,
-        turn,
-        _outline(record, cells, points),
-        (name_of(record, cells[0]),),
-        (),
-        False,
-        0,
+        **vars(lies),
+        number=0,
+        blocks=(name_of(record, cells[0]),),
+        steps=(),
+        at_start=False,
+        refills=0,
     )
 
 
@@ -265,14 +261,15 @@ def _listed(places: list[PickPlace], here: PickPlace, number: int, refill: bool)
             and turned < TURNED
         ):
             again = here.blocks[0] in place.blocks  # An attempt before has failed.
-            places[k] = place._replace(
+            places[k] = replace(
+                place,
                 blocks=place.blocks if again else place.blocks + here.blocks,
                 steps=(*place.steps, number),
                 refills=place.refills + refill,
             )
             return k + 1
-    new = here._replace(steps=(number,), at_start=not refill, refills=int(refill))
-    places.append(new._replace(number=len(places) + 1))
+    new = replace(here, steps=(number,), at_start=not refill, refills=int(refill))
+    places.append(replace(new, number=len(places) + 1))
     return len(places)
 
 

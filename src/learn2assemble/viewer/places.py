@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 
 from learn2assemble.assembly.instruction_words import extent_words, length_words
-from learn2assemble.motion.places import PickPlace, Stands, supplied
+from learn2assemble.motion.places import Lying, PickPlace, Stands, supplied
 from learn2assemble.viewer.html import NUMBER, row
 from learn2assemble.viewer.playback import Playback
 
@@ -86,7 +86,7 @@ def _standing_cells(one: Stands) -> list[str]:
     return ["", one.what, "1", extent_words(one.size), mass, *_where(one), "", words]
 
 
-def _where(one: PickPlace | Stands) -> list[str]:
+def _where(one: Lying) -> list[str]:
     shown = np.round(1000 * one.centre, 1) + 0.0
     turn = round(math.degrees(one.turn), 1) + 0.0
     return [*(f"{value:g}" for value in shown), f"{turn:g}°"]
