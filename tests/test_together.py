@@ -28,9 +28,9 @@ from learn2assemble.cell.pair import Pair, gather
 from learn2assemble.cell.site import Obstacle, Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import set_up_team
-from learn2assemble.cell.telling import SharedJournal, halted, tell
+from learn2assemble.cell.telling import SharedJournal, tell
 from learn2assemble.cell.together import Together
-from learn2assemble.cell.traffic import APART, PLANNED, ArmInTraffic, Leg, Route, Traffic
+from learn2assemble.cell.traffic import APART, HALTS, PLANNED, ArmInTraffic, Leg, Route, Traffic
 from learn2assemble.cell.workcell import Workcell, job_of
 from learn2assemble.cell.world import WorkcellBlocks
 from learn2assemble.cli import main
@@ -93,10 +93,11 @@ def route(arm: Arm, corners: list[np.ndarray]) -> Route:
     return Route("a", held, legs, AWAY)
 
 
+@pytest.mark.parametrize("halts", [False, True])
 @pytest.mark.parametrize("seed", [0, 1, 3, 4, 6, 7, 8, 9])  # both are on their ways at once
-def test_whatever_happens_when_both_come_to_their_ends(seed: int) -> None:
-    """Random courses that cross each other, legs that take any time: nobody waits for ever, and
-    what two arms are on never comes near."""
+def test_whatever_happens_when_both_come_to_their_ends(seed: int, halts: bool) -> None:
+    """Random courses that cross each other, legs that take any time, halts on them: nobody waits
+    for ever, and what two arms are on never comes near."""
     rng, traffic = np.random.default_rng(seed), Traffic(ARMS)
     jobs: list[list[list[np.ndarray]]] = []
     for arm in ARMS:
@@ -109,7 +110,7 @@ def test_whatever_happens_when_both_come_to_their_ends(seed: int) -> None:
         )
     moving: list[tuple[float, np.ndarray] | None] = [None, None]
     left: list[list[Motion]] = [[], []]
-    waited, together, skipped, done = 0, 0, 0, 0
+    waited, together, skipped, done, halted = 0, 0, 0, 0, 0
     for _ in range(2000):
         progress = False
         for who in rng.permutation(2).tolist():
@@ -130,14 +131,26 @@ def test_whatever_happens_when_both_come_to_their_ends(seed: int) -> None:
                         done += 1
                 progress = True
             elif left[who]:
-                comes_after = lane.behind
+                comes_after, one = lane.behind, left[who][0]
+                start, end = one.joints[0], one.joints[-1]
+                if one.stage == "cross" and lane.halt is None and halts:
+                    share = traffic.halt(who, start, end)
+                    if 0 < share < 1:
+                        lane.halt = start + share * (end - start), end
+                        parts = pairwise([start, lane.halt[0], end])
+                        left[who][:1] = [motion("cross", *part) for part in parts]
+                        halted += 1
+                nearer = lane.halt is not None and np.array_equal(
+                    left[who][0].joints[-1], lane.halt[0]
+                )
                 if traffic.enter(who, left[who][0]):
                     one = left[who].pop(0)
                     moving[who], progress = (0.0, one.joints), True
                     assert clear(traffic.lanes[0].here, traffic.lanes[1].here, APART)
                     together += moving[1 - who] is not None
-                    assert one.stage != "cross" or comes_after is None
+                    assert one.stage != "cross" or nearer or comes_after is None
                 else:
+                    assert not nearer
                     waited += 1
                     assert not traffic.stuck(who)
             elif jobs[who]:
@@ -170,6 +183,7 @@ def test_whatever_happens_when_both_come_to_their_ends(seed: int) -> None:
     assert done + skipped == 8
     assert done >= 4
     assert together + waited > 0
+    assert halts or not halted
 
 
 def test_an_arm_that_comes_after_the_other_one_fetches_meanwhile_and_then_crosses() -> None:
@@ -210,39 +224,57 @@ def test_an_arm_that_comes_after_the_other_one_fetches_meanwhile_and_then_crosse
     assert one.execute(motion("approach", LEFT.home, corners[0][0])).stop == Stop.END
 
 
-def test_an_arm_that_waits_comes_as_far_across_as_it_may() -> None:
-    """The first part of the way across begins at once, the second one when the block before it is
-    placed; the way itself is the same."""
-    traffic = Traffic(ARMS)
-    corners = [[arm.home + step * np.eye(len(arm.home))[0] for step in (0.1, 0.2)] for arm in ARMS]
-    mine, whole = (route(arm, where) for arm, where in zip(ARMS, corners, strict=True))
-    across, nearer = halted(np.array(corners[1]), 0.25)
-    assert nearer == 1
-    np.testing.assert_allclose(across[1], RIGHT.home + 0.125 * np.eye(len(RIGHT.home))[0])
-    capsules = capsules_of(RIGHT)
-    parts = [Leg("cross", sweep(RIGHT, capsules, np.array(way))) for way in pairwise(across)]
-    other = whole._replace(legs=(whole.legs[0], *parts, whole.legs[2]), nearer=nearer)
-    assert (whole.waits, other.waits) == (1, 2)
+def test_an_arm_that_waits_comes_nearer() -> None:
+    """It halts on its way across where the other arm can still do all it has announced, also behind
+    that one's block, and goes on when this is placed; the way is the same."""
+    traffic, plant = Traffic(ARMS), Still(RIGHT)
+    one, two = (
+        ArmInTraffic(p, traffic, k, q)  # pyright: ignore[reportArgumentType]
+        for k, (p, q) in enumerate([(Still(LEFT), plant), (plant, Still(LEFT))])
+    )
+    corners = [[arm.home + step * np.eye(len(arm.home))[0] for step in (0.1, 0.4)] for arm in ARMS]
+    mine, other = (route(arm, where) for arm, where in zip(ARMS, corners, strict=True))
     assert traffic.announce(0, mine)
-    assert traffic.apart(1, other)
     assert traffic.announce(1, other, behind=True)
-    for stage, way in (("approach", (RIGHT.home, across[0])), ("cross", (across[0], across[1]))):
-        assert traffic.enter(1, motion(stage, *way))
-        traffic.stands(1, way[1], stage == "cross")
-    assert not traffic.enter(1, motion("cross", across[1], across[2]))
+    lane, (start, end) = traffic.lanes[1], corners[1]
+    two.execute(motion("approach", RIGHT.home, start))
+    lane.holding = True
+    there = two.halt(start, end)
+    assert there is not None
+    share = float((there - start)[0] / (end - start)[0])
+    assert share == pytest.approx(HALTS[0])
+    two.execute(motion("cross", start, there))
+    assert [leg.stage for leg in lane.ahead] == ["cross", "home"]
+    assert two.halt(there, end) is None  # Once on a part of the way.
+    assert not traffic.enter(1, motion("cross", there, end))
+    for stage, way in zip(LEGS, pairwise([LEFT.home, *corners[0], LEFT.home]), strict=True):
+        one.execute(motion(stage, *way))
     traffic.over(0)
-    assert traffic.enter(1, motion("cross", across[1], across[2]))
+    two.execute(motion("cross", there, end))
+    assert [leg.stage for leg in lane.ahead] == ["home"]
 
 
-def test_an_arm_halts_after_a_share_of_its_way() -> None:
-    way = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0]])
-    for share, there, nearer in ((0.5, [2.0, 0.0], 1), (0.75, [3.0, 0.0], 1), (0.9, [3.0, 0.6], 2)):
-        found, count = halted(way, share)
-        np.testing.assert_allclose(found[count], there)
-        assert count == nearer
-        assert len(found) == 4
-        # No detour.
-        assert np.linalg.norm(np.diff(found, axis=0), axis=1).sum() == pytest.approx(4.0)
+def test_an_arm_with_nothing_in_its_way_does_not_halt() -> None:
+    traffic, plant = Traffic(ARMS), Still(RIGHT)
+    two = ArmInTraffic(plant, traffic, 1, Still(LEFT))  # pyright: ignore[reportArgumentType]
+    start, end = (RIGHT.home + step * np.eye(len(RIGHT.home))[0] for step in (0.1, 0.4))
+    assert traffic.announce(1, route(RIGHT, [start, end]))
+    two.execute(motion("approach", RIGHT.home, start))
+    traffic.lanes[1].holding = True
+    assert two.halt(start, end) is None
+
+
+def test_ways_that_are_found_again_are_announced_again() -> None:
+    traffic = Traffic(ARMS)
+    first, second, beside = (LEFT.home + k * 0.1 * np.eye(len(LEFT.home))[0] for k in (1, 2, 3))
+    assert traffic.announce(0, route(LEFT, [first, second]))
+    traffic.goes(0, "home", np.array([second, beside, LEFT.home]))
+    legs = traffic.lanes[0].ahead
+    assert [leg.stage for leg in legs] == ["approach", "cross", "home", "home"]
+    turned = sweep(LEFT, capsules_of(LEFT), np.array([second, beside]))
+    np.testing.assert_allclose(legs[2].swept.lines, turned.lines)
+    traffic.goes(0, "place", np.array([second, beside]))
+    assert traffic.lanes[0].ahead == legs
 
 
 @pytest.mark.parametrize("there", [True, False])

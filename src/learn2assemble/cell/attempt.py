@@ -19,7 +19,16 @@ from learn2assemble.motion.recorder import StepMotion
 from learn2assemble.robot.approach import ApproachPath, approach_path, tool_path
 from learn2assemble.robot.moves import Move, Outcome, turned, turns
 from learn2assemble.simulation.cell import DynamicCell
-from learn2assemble.simulation.execution import BLIND, LOADED, LOOSE, Execution, Rig, abandon
+from learn2assemble.simulation.execution import (
+    ALONE,
+    BLIND,
+    LOADED,
+    LOOSE,
+    Execution,
+    Rig,
+    Road,
+    abandon,
+)
 from learn2assemble.simulation.model import (
     Failure,
     Order,
@@ -213,6 +222,7 @@ class Attempts:
         """Has the models in which ways are planned, and the limits."""
         self.announce: Callable[[Execution, str], bool] = lambda run, block: True
         """Called before the arm moves, with the name of the block that it will: whether it may."""
+        self.road: Road = ALONE
         self.near: np.ndarray | None = None
         """As of :func:`~.prepare.prepare`."""
         self.stays: Callable[[Execution], None] = lambda run: None
@@ -251,7 +261,7 @@ class Attempts:
         if self.planner is not None:
             limits = self.planner.limits, self.planner.loaded
         guarded = min(CERTAIN + SPREADS * ahead.height, UNCERTAIN)
-        rig = Rig(self.plant, senses, arm, world, *limits, guarded=guarded)
+        rig = Rig(self.plant, senses, arm, world, *limits, guarded, self.road)
         run = senses.run = Execution(rig, order, course, joints)
         if not self.announce(run, senses.name):
             return Came(

@@ -117,7 +117,6 @@ def route_of(
     block: str,
     along: Sequence[str] = (),
     widest: float = WIDEST,
-    nearer: int = 0,
 ) -> Route:
     """What an attempt that is about to begin announces.
 
@@ -127,7 +126,6 @@ def route_of(
         along: ... and of what it brings along.
         widest: half of what of a block is in one capsule at most [m]; the finer, the nearer it may
             come to the other arm.
-        nearer: see :attr:`Route.nearer`.
     """
     arm, order, plan = run.rig.arm, run.order, run.course.plan
     own, objects = capsules_of(arm), order.objects.shape[order.target]
@@ -146,18 +144,7 @@ def route_of(
     legs += [Leg("home", sweep(arm, own, np.array(way))) for way in pairwise(run.course.home)]
     # The way down goes on below the place, the farther the harder it is pressed there.
     there = sweep(arm, both, place[np.abs(plan.place.rise).argmin()][None])
-    return Route(block, held, tuple(legs), goal, there, tuple(along), _loads(order), nearer)
-
-
-def halted(across: np.ndarray, share: float) -> tuple[np.ndarray, int]:
-    """A way across float64[k, n] [rad] with a halt after a share of it, and the number of straight
-    connections before that."""
-    length = np.linalg.norm(np.diff(across, axis=0), axis=1).cumsum()
-    at = share * float(length[-1])
-    k = int(np.searchsorted(length, at))
-    start = float(length[k - 1]) if k else 0.0
-    part = (at - start) / max(float(length[k]) - start, 1e-12)
-    return np.insert(across, k + 1, across[k] + part * (across[k + 1] - across[k]), axis=0), k + 1
+    return Route(block, held, tuple(legs), goal, there, tuple(along), _loads(order))
 
 
 def _loads(order: Order) -> frozenset[str]:

@@ -28,7 +28,6 @@ from learn2assemble.cell.telling import (
     Turn,
     assume,
     forget,
-    halted,
     route_of,
     take_up,
     tell,
@@ -50,8 +49,6 @@ LOOK_AGAIN = 0.1
 """An arm that has nothing to do looks again after this time [s]."""
 AT_HOME = 1e-3
 """An arm that is so near to its home is there [rad]."""
-HALTS = 0.8, 0.65, 0.5, 0.35, 0.2
-"""Shares of the way across after which an arm could wait for the other one to place its block."""
 PATIENCE, SOON = 600, 20
 """So often, before it counts as stuck while the other arm is at work, and where that has ended."""
 
@@ -149,6 +146,9 @@ class Together(Generic[Cell]):
         self.buildings: tuple[Building, ...] = tuple(one.building for one in self.worked)
         for who, building in enumerate(self.buildings):
             building.attempts.announce = self._announcer(who)
+            if building.known.structure.studs() is not None:
+                # Dry blocks are not pressed home for so long that a halt pays.
+                building.attempts.road = self.arms[who]
             put_beside(building.world, job.steps)
             found = crew.found[who]
             building.known.waits = steps_before(found.job, structure, found.order.steps)
@@ -482,8 +482,6 @@ class Together(Generic[Cell]):
             k = building.world.names.index(block)
             after = self.after[who]
             behind = after is not None and self.traffic.other(who).route is after
-            if behind and building.known.structure.studs() is not None:
-                route = self._nearer(who, run, route)
             if self.traffic.announce(who, route, behind):
                 self.moves[who] = k
                 self.buildings[1 - who].sight.carried |= {k, *self.along[who]}
@@ -498,22 +496,6 @@ class Together(Generic[Cell]):
             return False
 
         return announce
-
-    def _nearer(self, who: int, run: Execution, route: Route) -> Route:
-        """The same with a halt on the way across, as far as the arm may come before the other one
-        has placed its block. Of bricks, which are pressed home for so long that a halt pays: dry
-        blocks were placed 0 to 3 % later with it."""
-        course = run.course
-        if len(course.across) < 2:
-            return route
-        for share in HALTS:
-            across, nearer = halted(course.across, share)
-            run.course = course._replace(across=across)
-            found = route_of(run, route.block, route.along, nearer=nearer)
-            if self.traffic.apart(who, found) and self.traffic.fits(who, found, behind=True):
-                return found
-        run.course = course
-        return route
 
     def _tell(self, who: int, changed: set[int]) -> None:
         """Tell the other arm what came of an attempt."""

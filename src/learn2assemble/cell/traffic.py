@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +40,7 @@ from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.capsules import Capsules, capsules_of
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.sweeps import Sweep, clear, sweep
+from learn2assemble.simulation.execution import PAUSE, Road
 from learn2assemble.simulation.model import Failure
 
 APART, PLANNED = 0.015, 0.02
@@ -47,16 +49,18 @@ each at most, and as their ways are planned [m]."""
 STANDS = 5e-4
 """An arm whose joints are told to move by no more stands [rad]: no point of it moves by half of
 what it may stray."""
-PAUSE = 0.04
-"""Between two looks whether the way is free [s]."""
 EVERY = 5
 """Of the samples of a motion so many are taken together: the arm is within half a millimetre of the
 straight line between two that are left."""
 IN_THE_WAY = "the other arm is in the way"
 NOT_PLACED = "the block that comes before it was not placed"
 BEHIND = ("cross", "place")
-"""Stages that begin only when the block that they are behind is placed, but for the first part of
-the way across."""
+"""Stages that begin only when the block that they are behind is placed, but for a part of the way
+across."""
+HALTS = 0.9, 0.8, 0.7, 0.6, 0.5, 0.4
+"""Shares of a straight part of the way across after which an arm may wait for the other one."""
+SHORT = 0.15
+"""No joint turns by more on a part that has no halt [rad]."""
 PLACED = 0.005
 """An arm lets go of its block in its place where it is so near to where it was to have it there
 [m]."""
@@ -85,14 +89,12 @@ class Route(NamedTuple):
     """Names of the blocks that it brings along."""
     loads: frozenset[str] = frozenset()
     """Stages in which it presses a brick home on what stands, or draws one off."""
-    nearer: int = 0
-    """So many legs across may come before it waits, where it is behind another one."""
 
     @property
     def waits(self) -> int:
         """Number of the first leg that begins only when what it is behind is over."""
         legs = enumerate(self.legs)
-        return next((n for n, leg in legs if leg.stage in BEHIND), len(self.legs)) + self.nearer
+        return next((n for n, leg in legs if leg.stage in BEHIND), len(self.legs))
 
 
 @dataclass
@@ -131,20 +133,14 @@ class Lane:
     """Names of the blocks that it moved when it was stopped."""
     in_vain: bool = False
     """Whether that is over and its block is not in its place."""
+    halt: tuple[np.ndarray, np.ndarray] | None = None
+    """Joints at which it waits on a part of the way across, and those at the end of that [rad]."""
     tries: tuple[Motion, bool, Sweep] | None = None
     """The motion that it was told to wait with, whether it holds something, and what it sweeps."""
     capsules: Capsules = field(init=False)
 
     def __post_init__(self) -> None:
         self.capsules = capsules_of(self.arm)
-
-    def waits_for(self, stage: str) -> bool:
-        """Whether a motion of a stage begins only when the block that its own is behind is
-        placed."""
-        if self.route is None or stage not in [leg.stage for leg in self.ahead]:
-            return stage in BEHIND
-        done = len(self.route.legs) - len(self.ahead)
-        return done + [leg.stage for leg in self.ahead].index(stage) >= self.route.waits
 
     @property
     def stays(self) -> Sweep:
@@ -206,21 +202,13 @@ class Traffic:
                 return False
         return self._complete(lane.here.end, route.legs, other.stays, other.ahead)
 
-    def apart(self, who: int, route: Route) -> bool:
-        """Whether an arm comes to where it waits on a route whatever the other one does of what it
-        has announced."""
-        other = self.other(who)
-        theirs = (other.here, *(leg.swept for leg in other.ahead))
-        mine = [leg.swept for leg in route.legs[route.waits - route.nearer : route.waits]]
-        return all(self._clear(one, two, PLANNED) for one in mine for two in theirs)
-
     def announce(self, who: int, route: Route, behind: bool = False) -> bool:
         """As :meth:`fits`; if so, the route is known from now on."""
         if not self.fits(who, route, behind):
             return False
         lane = self.lanes[who]
         lane.route, lane.ahead, lane.on_route, lane.stage = route, route.legs, True, ""
-        other = self.other(who)
+        other, lane.halt = self.other(who), None
         lane.after, lane.in_vain = other.route if behind else None, False
         lane.behind = None if other.placed else lane.after
         self.changes += 1
@@ -299,16 +287,68 @@ class Traffic:
         if lane.refused == self.changes:
             return False
         loads = lane.route is not None and motion.stage in lane.route.loads
-        if (loads and other.loading) or (lane.behind and lane.waits_for(motion.stage)):
+        halt = lane.halt
+        if halt is not None and np.abs(motion.joints[-1] - halt[0]).max() > STANDS:
+            halt = None
+        waits = halt is None and lane.behind and motion.stage in BEHIND
+        if (loads and other.loading) or waits:
             lane.refused = self.changes
             return False
         swept = self._of(lane, motion)
         ahead, on_route = lane.ahead, lane.on_route
         stages = [leg.stage for leg in ahead]
         if motion.stage in stages:
-            ahead = ahead[stages.index(motion.stage) + 1 :]
+            k = stages.index(motion.stage)
+            ahead = ahead[k + 1 :] if halt is None else (self._rest(lane, *halt), *ahead[k + 1 :])
         elif motion.stage != lane.stage:
             ahead, on_route = (), False
+        free = self._may(who, swept, ahead, on_route)
+        if not free:
+            lane.refused = self.changes
+            return False
+        lane.here, lane.ahead, lane.on_route, lane.stage = swept, ahead, on_route, motion.stage
+        lane.moving, lane.tries, lane.loading = True, None, loads
+        self.changes += 1
+        return True
+
+    def goes(self, who: int, stage: str, way: np.ndarray) -> None:
+        """A stage that an arm has announced goes by other corners float64[k, n] [rad]."""
+        lane = self.lanes[who]
+        stages = [leg.stage for leg in lane.ahead]
+        if not lane.on_route or stage not in stages:
+            return
+        k, count = stages.index(stage), stages.count(stage)
+        legs = (Leg(stage, lane.swept(np.array(part))) for part in pairwise(way))
+        lane.ahead = *lane.ahead[:k], *legs, *lane.ahead[k + count :]
+        self.changes += 1
+
+    def halt(self, who: int, start: np.ndarray, end: np.ndarray) -> float:
+        """How far an arm with something in its hand may go now on a straight part of the way
+        across, from joints float64[n] to others [rad], and wait there: a share of :data:`HALTS`, 1
+        where it need not wait, 0 where it may not go so far."""
+        lane = self.lanes[who]
+        stages = [leg.stage for leg in lane.ahead]
+        if not lane.on_route or BEHIND[0] not in stages:
+            return 1.0
+        after = lane.ahead[stages.index(BEHIND[0]) + 1 :]
+        whole = lane.swept(np.stack([start, end]))
+        if lane.behind is None and self._may(who, whole, after, True):
+            return 1.0
+        for share in HALTS:
+            there = start + share * (end - start)
+            legs = self._rest(lane, there, end), *after
+            if self._may(who, lane.swept(np.stack([start, there])), legs, True):
+                return share
+        return 0.0
+
+    @staticmethod
+    def _rest(lane: Lane, there: np.ndarray, end: np.ndarray) -> Leg:
+        """What is left of a part of the way across."""
+        return Leg(BEHIND[0], lane.swept(np.stack([there, end])))
+
+    def _may(self, who: int, swept: Sweep, ahead: tuple[Leg, ...], on_route: bool) -> bool:
+        """Whether an arm may sweep a space, with these legs ahead of it then."""
+        lane, other = self.lanes[who], self.other(who)
         free = clear(swept, other.here, APART)
         comes = None if other.placed or (other.after and other.after is lane.route) else other.route
         if free and comes is not None:
@@ -317,13 +357,7 @@ class Traffic:
         if free and on_route:
             first, second = self._waits(who, ahead), self._waits(1 - who, other.ahead)
             free = self._complete(swept.end, ahead, other.stays, other.ahead, first, second)
-        if not free:
-            lane.refused = self.changes
-            return False
-        lane.here, lane.ahead, lane.on_route, lane.stage = swept, ahead, on_route, motion.stage
-        lane.moving, lane.tries, lane.loading = True, None, loads
-        self.changes += 1
-        return True
+        return free
 
     def passes(self, who: int, joints: np.ndarray) -> None:
         """An arm on a leg is at joints float64[n] [rad]: what it has passed is free."""
@@ -367,10 +401,9 @@ class Traffic:
     def _waits(self, who: int, ahead: Sequence[Leg]) -> int | None:
         """The first of the legs ahead of an arm that comes when the other arm has done all of its
         own; None: it does not wait."""
-        lane = self.lanes[who]
-        if lane.behind is None or lane.route is None:
+        if self.lanes[who].behind is None:
             return None
-        return max(lane.route.waits - len(lane.route.legs) + len(ahead), 0)
+        return next((n for n, leg in enumerate(ahead) if leg.stage in BEHIND), len(ahead))
 
     def _complete(
         self,
@@ -417,7 +450,7 @@ class Traffic:
         return self._known[key][0]
 
 
-class ArmInTraffic(WrappedPlant):
+class ArmInTraffic(WrappedPlant, Road):
     """A plant that moves when it may.
 
     Args:
@@ -436,6 +469,31 @@ class ArmInTraffic(WrappedPlant):
         self.traffic, self.who, self.other = traffic, who, other
         self.waited: float = 0.0
         """For the other arm, all in all [s]."""
+
+    def goes(self, stage: str, way: np.ndarray) -> None:
+        """See :class:`~learn2assemble.simulation.execution.Road`."""
+        self.traffic.goes(self.who, stage, way)
+
+    def halt(self, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
+        """See :class:`~learn2assemble.simulation.execution.Road`: nearer to its place while it
+        waits for the other arm."""
+        lane, traffic = self.traffic.lanes[self.who], self.traffic
+        known = lane.halt is not None and np.array_equal(lane.halt[1], end)
+        if known or not lane.holding or lane.in_vain or np.abs(end - start).max() < SHORT:
+            return None
+        lane.halt, share = None, traffic.halt(self.who, start, end)
+        if share == 1.0:
+            return None
+        if share:
+            lane.halt = start + share * (end - start), end
+            return lane.halt[0]
+        lane.refused = traffic.changes
+        if traffic.stuck(self.who):
+            return None
+        if traffic.other(self.who).moving:
+            traffic.passes(1 - self.who, self.other.sense().joints)
+        self.waited += PAUSE
+        return start
 
     def sense(self) -> Readings:
         """What is sensed, but what the other arm moves, or moved when it was stopped."""
@@ -459,7 +517,7 @@ class ArmInTraffic(WrappedPlant):
         kept = (Guard(hold="kept"),) if any(one.hold == "kept" for one in guards) else ()
         waited: list[Report] = []
         while moves:
-            if lane.in_vain and lane.waits_for(motion.stage):
+            if lane.in_vain and motion.stage in BEHIND:
                 lane.in_vain = False  # As below.
                 self.traffic.leaves_route(self.who)
                 raise Failure(Outcome.UNREACHABLE, motion.stage, NOT_PLACED)

@@ -25,6 +25,7 @@ from learn2assemble.robot.moves import ARM_THERE, Move, Scene
 
 if TYPE_CHECKING:
     from learn2assemble.cell.pieces import Piece
+    from learn2assemble.robot.arm import Arm
 
 FLAT = math.radians(4.0)
 """What leans more cannot be picked up [rad]."""
@@ -304,7 +305,15 @@ def moves(
     ways = ways_to_turn(arm, piece.shape, now, goals)
     if press is not None:
         at = {id(way): goal[:2] + (way.goal @ np.array(way.hold.point))[:2] for way in ways}
-        ways.sort(key=lambda way: round(math.dist(at[id(way)], press), 3))
+        beside = {id(way): round(math.dist(at[id(way)], press), 3) for way in ways}
+        ways.sort(key=lambda way: beside[id(way)])
+        if arm.suction is not None:
+            # On the same stud the other way round as well, which may turn the wrist less.
+            here, first = np.array(rows.pose(moving, piece.shape)[:2]), dict[Any, int]()
+            for way in ways:
+                first.setdefault((beside[id(way)], way.hold), len(first))
+            wrist = {id(way): _wrist_turn(arm, way, here, goal[:2]) for way in ways}
+            ways.sort(key=lambda way: (first[beside[id(way)], way.hold], wrist[id(way)]))
         ways = [way for way in ways if _bears(world, way, at[id(way)], press)]
     for way in ways:
         centre = np.array(piece.shape[way.hold.part].centre)
@@ -329,6 +338,16 @@ def moves(
                 far = way_out(rows, mine, -np.array(one), np.vstack(corners))
                 there = there._replace(way=max(far or 0.0, there.way))
             yield Move(of_part[way.hold.part], target, lift, there)
+
+
+def _wrist_turn(arm: Arm, way: Way, here: np.ndarray, there: np.ndarray) -> float:
+    """By about how much the last joint turns between a brick that lies at one place, float64[2],
+    and another one to which it comes [m]: [rad], to a tenth."""
+    angles: list[float] = []
+    for place, tool in ((here, way.grasp), (there, way.place)):
+        x, y = (place - arm.base_position[:2]).tolist()
+        angles.append(math.atan2(tool[1, 0], tool[0, 0]) - math.atan2(y, x))
+    return round(abs(math.remainder(angles[1] - angles[0], math.tau)), 1)
 
 
 def _bears(world: WorkcellBlocks, way: Way, at: np.ndarray, press: tuple[float, float]) -> bool:

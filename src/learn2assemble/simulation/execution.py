@@ -137,6 +137,26 @@ class Senses(Protocol):
         ...
 
 
+PAUSE = 0.04
+"""Between two looks whether the way is free [s]."""
+
+
+class Road:
+    """What an arm says of its ways, and is told, where another one moves in its cell; here it has
+    that for itself."""
+
+    def goes(self, stage: str, way: np.ndarray) -> None:
+        """It goes by other corners, float64[k, n] [rad], than were planned."""
+
+    def halt(self, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
+        """Of a straight part of the way across, from joints float64[n] to others [rad]: where it is
+        to go first; where it is, to wait there for a moment; None: to the end."""
+        return None
+
+
+ALONE = Road()
+
+
 @dataclass(frozen=True)
 class Rig:
     """What carries an attempt out."""
@@ -154,6 +174,7 @@ class Rig:
     guarded: float = 0.0
     """So near to where an object shall stand it may meet what carries it [m], and if it meets
     nothing there, it goes back instead of being let go; 0: it is let go there, whatever it met."""
+    road: Road = ALONE
 
 
 class Execution:
@@ -294,7 +315,9 @@ class Execution:
             checker.empty(self.order.opening)
         if all(checker.blocked(start, end) is None for start, end in pairwise(planned)):
             return planned
-        return free_way(checker, self.joints, way[-1], stage)
+        found = free_way(checker, self.joints, way[-1], stage)
+        rig.road.goes(stage, found)
+        return found
 
     def travel(
         self,
@@ -431,9 +454,19 @@ class Execution:
         """Across, along straight lines of the joints."""
         self.inside = None
         for start, end in pairwise(way):
-            path, bounds = self.gently(np.array([start, end]))
-            self.follow(path, bounds, "cross", (guard,))
+            while (there := self.rig.road.halt(start, end)) is not None:
+                if there is start:
+                    self.wait(PAUSE, "cross", guard)
+                else:
+                    start = self._straight(start, there, guard)
+            self._straight(start, end, guard)
             self.segments_done += 1
+
+    def _straight(self, start: np.ndarray, end: np.ndarray, guard: Guard) -> np.ndarray:
+        """Across along one straight line of the joints; its end."""
+        path, bounds = self.gently(np.stack([start, end]))
+        self.follow(path, bounds, "cross", (guard,))
+        return end
 
     def corrected(self) -> tuple[ApproachPath, ApproachPath]:
         """The approach path over the target for the hand that holds the object as it does, and
