@@ -41,7 +41,9 @@ from learn2assemble.motion.attempts import merged
 from learn2assemble.motion.driver import arm_of
 from learn2assemble.motion.files import read_record
 from learn2assemble.motion.plant import (
+    Commands,
     Guard,
+    Guards,
     Motion,
     Report,
     Stop,
@@ -753,12 +755,7 @@ class Refuses(WrappedPlant):
 
     told: tuple[tuple[Motion, tuple[ToolCommand, ...]], ...] = ()
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         if motion.stage == "lift" and np.ptp(motion.joints, axis=0).any():
             raise Failure(Outcome.UNREACHABLE, "lift", "the other arm is in the way")
         self.told = (*self.told, (motion, tuple(commands)))

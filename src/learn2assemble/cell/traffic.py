@@ -24,14 +24,15 @@ from typing import NamedTuple
 import numpy as np
 
 from learn2assemble.motion.plant import (
+    Commands,
     Guard,
+    Guards,
     Motion,
     Plant,
     Played,
     Readings,
     Report,
     Stop,
-    ToolCommand,
     WrappedPlant,
     standing,
 )
@@ -443,12 +444,7 @@ class ArmInTraffic(WrappedPlant):
         names = other.left if other.route is None else (other.route.block, *other.route.along)
         return found._replace(blocks=tuple(b for b in found.blocks if b.block not in names))
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`; the arm stands until it may move.
 
         Raises:

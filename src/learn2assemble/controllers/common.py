@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from learn2assemble.errors import InputError
 from learn2assemble.motion.plant import (
+    Commands,
     Guard,
+    Guards,
     Motion,
     PlantError,
     Readings,
     Stop,
-    ToolCommand,
     ToolReading,
 )
 from learn2assemble.motion.setup import UNWANTED
@@ -54,15 +54,13 @@ class Address(NamedTuple):
         return cls(host, int(number) if mark else port)
 
 
-def marks_of(
-    motion: Motion, commands: Sequence[ToolCommand], guards: Sequence[Guard]
-) -> list[float]:
+def marks_of(motion: Motion, commands: Commands, guards: Guards) -> list[float]:
     """The times of a motion at which something changes [s]."""
     told = [one.at for one in commands] + [one.begin for one in guards]
     return sorted({min(max(at, 0.0), motion.seconds) for at in told})
 
 
-def felt(guards: Sequence[Guard], feel: float) -> list[Guard]:
+def felt(guards: Guards, feel: float) -> list[Guard]:
     """Guards in the order of their times, with forces that a robot can tell from noise; it does not
     tell those on the arm from those on what it holds.
 
@@ -163,7 +161,7 @@ class WatchedHere:
         guards: of the motion, as :func:`felt` gives them.
     """
 
-    def __init__(self, guards: Sequence[Guard]) -> None:
+    def __init__(self, guards: Guards) -> None:
         self._left, self._now = list(guards), Guard()
         self._gone = -1.0
 

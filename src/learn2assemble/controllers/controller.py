@@ -23,7 +23,8 @@ from learn2assemble.motion.cubics import thinned
 from learn2assemble.motion.driver import Driver, driver_of
 from learn2assemble.motion.plant import (
     BlockReading,
-    Guard,
+    Commands,
+    Guards,
     Motion,
     PlantError,
     Readings,
@@ -205,15 +206,10 @@ class WatchingController(Controller):
         """How the motion that was sent last ended; None: it goes on."""
 
     @abstractmethod
-    def _tell(self, commands: Sequence[ToolCommand]) -> None:
+    def _tell(self, commands: Commands) -> None:
         """Tell the tool."""
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         begun, odd = self._begin(motion)
         if odd is not None:
@@ -238,7 +234,7 @@ class WatchingController(Controller):
         return self._report(stop, motion, past, begun, why)
 
     def _watch(
-        self, motion: Motion, left: list[ToolCommand], guards: Sequence[Guard], moves: bool
+        self, motion: Motion, left: list[ToolCommand], guards: Guards, moves: bool
     ) -> tuple[Stop, str, float]:
         """Tell the tool what is due, until the motion has ended or something ends it.
 

@@ -8,7 +8,6 @@ it. What came of it stands in output registers, which the state carries.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from enum import IntEnum
 from itertools import pairwise
 from typing import Any
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.motion.driver import Driver
-from learn2assemble.motion.plant import Guard, Motion, ToolCommand
+from learn2assemble.motion.plant import Commands, Guard, Guards, Motion, ToolCommand
 from learn2assemble.motion.settings import ProgramSettings
 
 SERIAL, OUTCOME, PROGRESS, BEAT = 36, 37, 38, 42
@@ -46,8 +45,8 @@ class ScriptOutcome(IntEnum):
 
 def motion_script(
     motion: Motion,
-    commands: Sequence[ToolCommand],
-    guards: Sequence[Guard],
+    commands: Commands,
+    guards: Guards,
     driver: Driver,
     settings: ProgramSettings,
     serial: int,

@@ -5,7 +5,7 @@ anything moves, and it is told how it was driven.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +13,8 @@ import numpy as np
 from learn2assemble.cell.building import Building
 from learn2assemble.cell.world import MISSING
 from learn2assemble.motion.plant import (
-    Guard,
+    Commands,
+    Guards,
     Motion,
     Plant,
     PlantError,
@@ -80,12 +81,7 @@ class Timed(WrappedPlant):
         self.last = found.time
         return found
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         report = self.plant.execute(motion, commands, guards)
         if report.stop is Stop.END and motion.seconds:

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from learn2assemble.motion.plant import Guard, Motion, ToolCommand
+from learn2assemble.motion.plant import Commands, Guard, Guards, Motion, ToolCommand
 
 CLOSE = 5e-5
 """A motion with fewer samples is nowhere farther from the one it was [rad]."""
@@ -69,7 +69,7 @@ def thinned(motion: Motion, marks: Sequence[float] = ()) -> Motion:
 
 
 def slower(
-    motion: Motion, commands: Sequence[ToolCommand], guards: Sequence[Guard], factor: float
+    motion: Motion, commands: Commands, guards: Guards, factor: float
 ) -> tuple[Motion, list[ToolCommand], list[Guard]]:
     """A motion on the same path in ``factor`` times its time, with what happens during it."""
     return (

@@ -165,6 +165,10 @@ class Guard(NamedTuple):
     """Stops where the opening between the pads leaves this range [m] (:attr:`Stop.WIDTH`)."""
 
 
+Commands = Sequence[ToolCommand]
+Guards = Sequence[Guard]
+
+
 class Request(NamedTuple):
     """What others in the cell do while the arm stands: a magazine, a person."""
 
@@ -251,12 +255,7 @@ class Plant(Protocol):
         """What is sensed now."""
         ...
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """Carry a motion out, and return when the arm stands.
 
         Args:
@@ -293,12 +292,7 @@ class WrappedPlant:
         """See :class:`Plant`."""
         return self.plant.sense()
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`Plant`."""
         return self.plant.execute(motion, commands, guards)
 

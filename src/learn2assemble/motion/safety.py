@@ -8,7 +8,6 @@ is slowed down on its path, and every motion stops at the largest force.
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -17,12 +16,13 @@ import numpy as np
 from learn2assemble.errors import InputError
 from learn2assemble.motion.cubics import between, slower
 from learn2assemble.motion.plant import (
+    Commands,
     Guard,
+    Guards,
     Motion,
     Plant,
     Report,
     Stop,
-    ToolCommand,
     WrappedPlant,
 )
 from learn2assemble.robot.arm import Arm, arm_spec
@@ -289,12 +289,7 @@ class Guarded(WrappedPlant):
         self.safety = safety
         self.speed = speed
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`; a motion that breaks a rule is refused
         and not passed on."""
         why = self.rules.breach(motion)
@@ -307,7 +302,7 @@ class Guarded(WrappedPlant):
             motion, commands, guards = slower(motion, commands, guards, factor)
         return self.plant.execute(motion, commands, self._pressed(guards))
 
-    def _pressed(self, guards: Sequence[Guard]) -> Sequence[Guard]:
+    def _pressed(self, guards: Guards) -> Guards:
         """The guards, with the largest force."""
         most = self.safety.force
         if most is None:
