@@ -23,7 +23,7 @@ from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import Learn2AssembleError
 from learn2assemble.geometry.circles import inner_circle
 from learn2assemble.geometry.hulls import cross_product
-from learn2assemble.linear_programs import INF, Clock
+from learn2assemble.linear_programs import INF, Clock, pass_columns
 from learn2assemble.statics.hands import NO_HANDS, HeldBlock, held_blocks, held_meanwhile
 from learn2assemble.statics.holding_forces import Columns, Forces, forces_of, joined
 from learn2assemble.statics.holding_solver import (
@@ -39,7 +39,6 @@ from learn2assemble.statics.holding_start import first_basis
 
 MOST_G = 10.0
 """Margins are cut here [g]."""
-_COLUMNWISE = int(highspy.MatrixFormat.kColwise)
 _MANY = 300
 """Blocks from which one state alone is answered by a method of interior points."""
 _CLOSE = 1e-3
@@ -126,8 +125,8 @@ class Balance:
         rows = 6 * self.count
         self._last = np.bincount(matrix.indices[first:], matrix.data[first:], rows)
         filled = np.flatnonzero(self._last)
-        start = np.append(matrix.indptr[: n + 1], first + len(filled)).astype(np.int32)
-        index = np.concatenate([matrix.indices[:first], filled]).astype(np.int32)
+        start = np.append(matrix.indptr[: n + 1], first + len(filled))
+        index = np.concatenate([matrix.indices[:first], filled])
         value = np.concatenate([matrix.data[:first], self._last[filled]])
         self._solver = solver = new_solver(self.count)
         self._lower = np.append(columns.lower / self.unit, 0.0)
@@ -138,23 +137,8 @@ class Balance:
         self._present = np.ones(self.count, bool)
         self._free = ~self.fixed
         low, high = self._row_bounds(load, self._free)
-        status = solver.passModel(
-            n + 1,
-            rows,
-            len(value),
-            _COLUMNWISE,
-            int(highspy.ObjSense.kMinimize),
-            0.0,
-            cost,
-            self._lower,
-            self._upper,
-            low,
-            high,
-            start,
-            index,
-            value,
-            np.zeros(n + 1, np.int32),
-        )
+        bounds = self._lower, self._upper
+        status = pass_columns(solver, cost, bounds, (low, high), (start, index, value))
         if status == highspy.HighsStatus.kError:
             raise Learn2AssembleError("balance: the solver refused the matrix")
         self._load_now = load
@@ -505,23 +489,8 @@ class Balance:
         cost = np.concatenate([np.zeros(n), np.ones(2 * m)])
         lower = np.concatenate([self._lower[on], np.zeros(2 * m)])
         upper = np.concatenate([self._upper[on], np.full(2 * m, np.inf)])
-        solver.passModel(
-            n + 2 * m,
-            m,
-            len(filled),
-            _COLUMNWISE,
-            int(highspy.ObjSense.kMinimize),
-            0.0,
-            cost,
-            lower,
-            upper,
-            load[rows],
-            load[rows],
-            start.astype(np.int32),
-            index.astype(np.int32),
-            filled,
-            np.zeros(n + 2 * m, np.int32),
-        )
+        least = load[rows]
+        pass_columns(solver, cost, (lower, upper), (least, least), (start, index, filled))
         number = np.cumsum(free) - 1
         some = [one._replace(body=int(number[one.body])) for one in self._held(hands, free)]
         with held_meanwhile(solver, some, int(free.sum())):
