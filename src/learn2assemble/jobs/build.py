@@ -60,6 +60,8 @@ if TYPE_CHECKING:
 
 SUPPORTS = ("auto", "none", "props", "posts")
 """What may carry blocks until they carry themselves."""
+OF_AN_ARM = ("tool", "layout", "state", "physics", "noise")
+"""What may be asked where an arm builds."""
 AGENT_SECONDS, EXACT_SECONDS = 20.0, 60.0
 """Limits of the widest search of a task, and of planning a design with its proof [s]."""
 Progress = Callable[[str], None]
@@ -162,27 +164,27 @@ def build(
     _check_values(noise=noise, holds=holds, seed=seed, seconds=seconds, progress=progress)
     _check_names(build, reading)
     arms = arm_names(arm)
+    asked = {
+        "kit": kit,
+        "friction": friction,
+        "gap": gap,
+        "layout": layout,
+        "tool": tool,
+        "state": state,
+        "supports": None if supports == "auto" else supports,
+        "holds": holds or None,
+        "hands": hands or None,
+        "shell": shell,
+        "plates": plates or None,
+        "old": old,
+        "noise": noise if any(noise) else None,
+        "physics": None if physics == PHYSICS[0] else physics,
+        **reading,
+    }
     if is_task(design):
         if planner == EXACT:
             raise InputError("planner", EXACT, f"agent, for the task {design}")
-        given = {
-            "kit": kit,
-            "friction": friction,
-            "gap": gap,
-            "layout": layout,
-            "tool": tool,
-            "state": state,
-            "supports": None if supports == "auto" else supports,
-            "holds": holds or None,
-            "hands": hands or None,
-            "shell": shell,
-            "plates": plates or None,
-            "old": old,
-            "noise": noise if any(noise) else None,
-            "physics": None if physics == PHYSICS[0] else physics,
-            **reading,
-        }
-        _refuse(given, f"a design (not the task {design})")
+        _refuse(asked, f"a design (not the task {design})")
         for name in arms:
             check_name("arm", name, (*ARMS, NO_ARM))
         if len(arms) > 1:
@@ -207,16 +209,7 @@ def build(
         how = ArmChoice(arms, tool, layout, physics, noise, state, seed)
         how.check()
     else:
-        _refuse(
-            {
-                "tool": tool,
-                "layout": layout,
-                "state": state,
-                "physics": None if physics == PHYSICS[0] else physics,
-                "noise": noise if any(noise) else None,
-            },
-            "an arm to build with (`arm=`)",
-        )
+        _refuse({name: asked[name] for name in OF_AN_ARM}, "an arm to build with (`arm=`)")
     limit = EXACT_SECONDS if seconds is None else seconds
     given = {"friction": friction, "gap": gap, "progress": progress, "seconds": limit}
     if shell is not None and not is_whole(shell, 1, 64):
