@@ -15,12 +15,19 @@ from learn2assemble.cell.arrange import Hands, arrange
 from learn2assemble.cell.bricks import BrickStructure
 from learn2assemble.cell.building import Building, Kept, Prepared
 from learn2assemble.cell.reach import cells_of, set_up, with_other_tools
-from learn2assemble.cell.report import Witness, Worked, arm_report, carried_out, words_of
+from learn2assemble.cell.report import (
+    Witness,
+    Worked,
+    arm_report,
+    carried_out,
+    none_placed,
+    words_of,
+)
 from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.taking_apart import arrange_bricks, plan_in_order
 from learn2assemble.cell.workcell import Job, Progress, StepOf, Workcell, job_of
 from learn2assemble.cell.world import OBSTACLE_DENSITY, WorkcellBlocks
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, listed
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.linear_programs import Clock
 from learn2assemble.motion.plant import Plant, PlantError
@@ -134,7 +141,7 @@ def carry_out(
     try:
         building = Building(found, workcell, seen, words, key_of(plan, workcell), kept, witness)
     except PlantError as error:
-        return _none_placed(plan, job, workcell, "incomplete", str(error))
+        return _none_placed(plan, job, workcell, str(error), "incomplete")
     reason = building.run(progress)
     took = time.perf_counter() - started
     return carried_out(plan, [Worked(building, workcell, witness)], reason, took, plant)
@@ -142,11 +149,9 @@ def carry_out(
 
 def _refused(plan: Plan, found: Prepared, workcell: Workcell, advice: str) -> Plan:
     """What comes of a plan of which the arm cannot do every step, in whatever order."""
-    assert plan.assembly is not None
     job, order = found.job, found.order
     number, why = next(iter(order.stuck.items()))
     blocks = [job.pieces[k].id for k in order.stuck]
-    listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
     gone = any(step.block == number and step.remove for step in job.steps)
     what = (
         "take away"
@@ -154,24 +159,16 @@ def _refused(plan: Plan, found: Prepared, workcell: Workcell, advice: str) -> Pl
         else "place"
     )
     which = f"{blocks[0]}: " if blocks[1:] else ""
-    reason = f"the arm cannot {what} {listed}: {which}{why}"
+    reason = f"the arm cannot {what} {listed(blocks)}: {which}{why}"
     reason = f"{reason}; {advice}" if advice else reason
-    return _none_placed(plan, job, workcell, "refused", reason)
+    return _none_placed(plan, job, workcell, reason)
 
 
-def _none_placed(plan: Plan, job: Job, workcell: Workcell, status: Status, reason: str) -> Plan:
+def _none_placed(
+    plan: Plan, job: Job, workcell: Workcell, reason: str, status: Status = "refused"
+) -> Plan:
     """What comes of a plan of which the arm has placed nothing."""
-    assert plan.assembly is not None
-    return replace(
-        plan,
-        status=status,
-        reason=reason,
-        steps=(),
-        coverage=0.0,
-        arm=arm_report(job, workcell, None),
-        blocks=replace(plan.blocks, used=0),
-        assembly=replace(plan.assembly, steps=(), not_built=()),
-    )
+    return replace(none_placed(plan, reason, status), arm=arm_report(job, workcell, None))
 
 
 def advise(plan: Plan, workcell: Workcell, joint: float, progress: Progress) -> str:

@@ -26,12 +26,13 @@ from learn2assemble.cell.building import Prepared
 from learn2assemble.cell.crew import Member
 from learn2assemble.cell.pieces import middle_of, with_rests
 from learn2assemble.cell.reach import cells_of, with_home, with_other_tools
+from learn2assemble.cell.report import none_placed
 from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.taking_apart import arrange_bricks, plan_in_order
 from learn2assemble.cell.team import set_up_team, site_arm_of, told_of
 from learn2assemble.cell.workcell import ROOMS, Job, Progress, StepOf, Workcell, job_of
 from learn2assemble.cell.world import RETURNED, STANDING, WorkcellBlocks
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, listed
 from learn2assemble.motion.plant import Plant
 from learn2assemble.motion.safety import guarded
 from learn2assemble.planning.brick_plan import plan_for_arm, with_hands
@@ -249,19 +250,10 @@ def bricks_by_team(
         return plan_in_order(plan, order.steps), order.steps
     number, why = next(iter(order.stuck.items()))
     blocks = [jobs[0].pieces[k].id for k in order.stuck]
-    listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
     reason = f"{jobs[0].pieces[number].id}: {why}"
     advice = _with_another_tool(plan, members, workcell, progress) or with_hands(assembly)
-    refused = replace(
-        plan,
-        status="refused",
-        reason=f"neither arm can place {listed}: {reason}" + (f"; {advice}" if advice else ""),
-        steps=(),
-        coverage=0.0,
-        blocks=replace(plan.blocks, used=0),
-        assembly=replace(plan.assembly, steps=(), not_built=()),
-    )
-    return refused, ()
+    reason = f"neither arm can place {listed(blocks)}: {reason}"
+    return none_placed(plan, f"{reason}; {advice}" if advice else reason), ()
 
 
 def _arranged(

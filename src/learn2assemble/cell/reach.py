@@ -40,7 +40,7 @@ from learn2assemble.cell.world import (
     moves,
     rows_of,
 )
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, listed
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.progress import Detail, counted, silent
 from learn2assemble.robot.approach import ApproachCache
@@ -314,10 +314,7 @@ def check_held(arm: Arm, pieces: Sequence[Piece], studs: float = 0.0) -> None:
     names = _not_held(arm, pieces)
     if not names:
         return
-    words = list[str]()
-    for why, blocks in names.items():
-        listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
-        words.append(f"{listed}: {why}")
+    words = [f"{listed(blocks)}: {why}" for why, blocks in names.items()]
     more = f" (and {len(words) - 6} more reasons)" if len(words) > 6 else ""
     others = with_other_tools(arm, studs)
     # Another tool turns blocks from where they wait in other ways.
@@ -517,8 +514,7 @@ def takes_away(job: Job) -> bool:
 
 def _out_of_reach(name: str, pieces: Sequence[Piece], found: Reach, best: Reach) -> InputError:
     names = [f"{pieces[k].id} ({pieces[k].name})" for k in found.out]
-    listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-    got = f"{len(names)} of {found.count} blocks out of it: {listed}"
+    got = f"{len(names)} of {found.count} blocks out of it: {listed(names)}"
     what = f"reach of {name} at {found.words}"
     if not best.out:
         return InputError(what, got, f"a base at {best.words}, which reaches all of them")
