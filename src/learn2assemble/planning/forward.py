@@ -277,7 +277,7 @@ class Forward:
         there = np.flatnonzero(state.present[self.count :]) + self.count
         for p in sorted(there.tolist(), key=lambda p: -self._away(p)):
             after = state.change(remove=[p])
-            if self.site.ways.free(p, state.present) and self.stands(after, self._on(p, after)):
+            if self.site.ways.free(p, state.present) and self.stands(after, self.on(p, after)):
                 yield Transition((self._goes(p, state),), after, last.gone)
 
     def _away(self, prop: int) -> float:
@@ -285,9 +285,9 @@ class Forward:
         at = np.array([post.block.centroid[:2] for post in self.posts])
         return round(float(np.linalg.norm(at[prop - self.count] - at.mean(0))), 6)
 
-    def _on(self, prop: int, state: State) -> list[int]:
-        """Blocks that touch a prop."""
-        near, fixed = self.site.near[prop], self.site.fixed
+    def on(self, block: int, state: State) -> list[int]:
+        """Blocks that stand beside one, and could move."""
+        near, fixed = self.site.near[block], self.site.fixed
         return [n for n in near if state.present[n] and not fixed[n]]
 
     def _waiting(self, last: Transition) -> Iterator[Transition]:
@@ -461,7 +461,7 @@ class Forward:
                 continue
             after = state.change(remove=[p])
             most = None if sure else self.law(state)
-            if self.stands(after, self._on(p, state), most) and self.site.ways.free(
+            if self.stands(after, self.on(p, state), most) and self.site.ways.free(
                 p, state.present
             ):
                 steps.append(self._goes(p, state))
