@@ -7,13 +7,14 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from learn2assemble.cell.arrange import Hands, arrange
 from learn2assemble.cell.bricks import BrickStructure
-from learn2assemble.cell.building import Building, Kept, Prepared
+from learn2assemble.cell.building import Building, Prepared
+from learn2assemble.cell.journal import Kept
 from learn2assemble.cell.reach import cells_of, set_up, with_other_tools
 from learn2assemble.cell.report import (
     Witness,
@@ -88,18 +89,6 @@ def prepare(
     return Prepared(job, structure, arrange(hands, structure, progress), cell)
 
 
-class Restorable(Protocol):
-    """A plant whose world can be kept in a file."""
-
-    def state(self) -> dict[str, Any]:
-        """The world as it is."""
-        ...
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """The world as it was."""
-        ...
-
-
 def carry_out(
     plan: Plan,
     workcell: Workcell,
@@ -132,10 +121,7 @@ def carry_out(
     setup = setup_of(job, workcell, found.structure)
     plant = plant or open_plant("sim://", setup)
     seen = through_cameras(plant, setup, job.pieces, workcell.site.cameras)
-    kept = None
-    if hasattr(seen, "state") and hasattr(seen, "restore"):
-        world = cast("Restorable", seen)
-        kept = Kept(world.state, world.restore)
+    kept = Kept.of(seen)
     words, witness = words_of(job, workcell), Witness(plant)
     seen = guarded(seen, job.arm, workcell.site.safety)
     try:

@@ -5,8 +5,7 @@ anything moves, and it is told how it was driven.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -92,7 +91,7 @@ class Timed(WrappedPlant):
 
     def link(self, plant: Plant) -> Link:
         """The figures; the plant may know more."""
-        count, rate = max(self.motions, 1), method_of(plant, "rate")
+        count, rate = max(self.motions, 1), getattr(plant, "rate", None)
         return Link(
             self.motions,
             round(self.moving, 2),
@@ -100,11 +99,6 @@ class Timed(WrappedPlant):
             round(self.waited / max(self.looks, 1), 5),
             None if rate is None else rate(),
         )
-
-
-def method_of(plant: Plant, name: str) -> Callable[..., Any] | None:
-    """What some plants can do besides; None where this one cannot."""
-    return getattr(plant, name, None)
 
 
 def check_robot(plant: Plant, setup: Setup, resumed: bool, name: str = "") -> None:
