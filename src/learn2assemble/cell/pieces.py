@@ -34,6 +34,7 @@ from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.bodies import Part, Shape, body_of
 from learn2assemble.robot.grasps import UPRIGHT as STRAIGHT
 from learn2assemble.robot.holding import ways_to_turn
+from learn2assemble.values import three
 
 AWAY = 90.0
 """No structure that an arm builds is farther from the origin [m]."""
@@ -337,7 +338,7 @@ def _new_shape(block: Block) -> tuple[_Known, np.ndarray]:
         points = np.array(part.vertices) @ turn - middle
         low, high = points.min(0), points.max(0)
         centre, half = ((low + high) / 2).round(9) + 0.0, ((high - low) / 2).round(9)
-        parts.append(Part(_three(centre), _three(half), hull_of(points - centre)))
+        parts.append(Part(three(centre.tolist()), three(half.tolist()), hull_of(points - centre)))
     parts.sort(key=lambda part: part.centre)
     return _Known(block.kind, tuple(parts), corners - middle, block.volume), turn
 
@@ -390,13 +391,8 @@ def _merged(planes: list[np.ndarray], left: np.ndarray) -> list[Part]:
         left[tuple(slice(*end) for end in zip(low, high, strict=True))] = False
         ends = np.array([[p[a], p[b]] for p, a, b in zip(planes, low, high, strict=True)])
         centre, half = ends.mean(1).round(9) + 0.0, (np.diff(ends)[:, 0] / 2).round(9)
-        found.append(Part(_three(centre), _three(half)))
+        found.append(Part(three(centre.tolist()), three(half.tolist())))
     return found
-
-
-def _three(vector: np.ndarray) -> tuple[float, float, float]:
-    x, y, z = vector.tolist()
-    return x, y, z
 
 
 def _frame(block: Block) -> np.ndarray:
@@ -447,7 +443,7 @@ def _squared(points: np.ndarray, up: np.ndarray, along: np.ndarray) -> np.ndarra
 def ways_to_rest(piece: Piece) -> list[np.ndarray]:
     """Rotations in which a block can wait, as in the structure first if it rests so, then the most
     stable ones."""
-    return [turn for turn, _ in _resting(piece.shape, _three(piece.turn[2].round(6)))]
+    return [turn for turn, _ in _resting(piece.shape, three(piece.turn[2].round(6).tolist()))]
 
 
 @lru_cache(maxsize=4096)
@@ -489,7 +485,7 @@ def with_rests(
     for piece in pieces:
         rest = rests.get(piece.id)
         if rest is None:
-            key = piece.shape, _three(piece.turn[2].round(6))
+            key = piece.shape, three(piece.turn[2].round(6).tolist())
             if key not in known:
                 known[key] = _best_rest(piece, arm)
             rest = known[key]

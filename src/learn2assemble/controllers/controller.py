@@ -35,6 +35,7 @@ from learn2assemble.motion.plant import (
     ToolReading,
 )
 from learn2assemble.motion.setup import PlantClock, Setup, Surroundings
+from learn2assemble.values import three
 
 if TYPE_CHECKING:
     from learn2assemble.motion.settings import ProgramSettings
@@ -128,8 +129,7 @@ class Controller(ABC):
 
     def _force(self, force: Sequence[float]) -> tuple[float, float, float]:
         """A force [N] of the frame of the base in that of the world."""
-        x, y, z = (self._base @ np.asarray(force, float)).tolist()
-        return x, y, z
+        return three((self._base @ np.asarray(force, float)).tolist())
 
     def sense(self) -> Readings:
         """See :class:`~learn2assemble.motion.plant.Plant`."""

@@ -58,6 +58,7 @@ from learn2assemble.robot.scene import (
     set_options,
     table_pose,
 )
+from learn2assemble.values import three
 
 TIMESTEP = 0.002
 """[s]; with 4 ms the grasp fails."""
@@ -540,7 +541,7 @@ def part_of(box: Box) -> Part:
     """A box of an object, in the frame of the object."""
     centre, half, *own = box
     hull = next((one for one in own if isinstance(one, Hull)), None)
-    return Part(_three(centre), _three(half), hull)
+    return Part(three(centre), three(half), hull)
 
 
 def _solids(
@@ -551,11 +552,6 @@ def _solids(
         begin = int(model.body_geomadr[first + number])
         found |= {begin + k: part_of(box) for k, box in enumerate(boxes)}
     return found
-
-
-def _three(numbers: Any) -> tuple[float, float, float]:
-    x, y, z = numbers
-    return x, y, z
 
 
 def _drive_of(model: mujoco.MjModel, joint: str) -> int:
