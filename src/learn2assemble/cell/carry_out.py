@@ -15,7 +15,7 @@ from learn2assemble.cell.arrange import Hands, arrange
 from learn2assemble.cell.bricks import BrickStructure
 from learn2assemble.cell.building import Building, Prepared
 from learn2assemble.cell.journal import Kept
-from learn2assemble.cell.reach import cells_of, set_up, with_other_tools
+from learn2assemble.cell.reach import set_up, with_other_tools
 from learn2assemble.cell.report import (
     Witness,
     Worked,
@@ -80,7 +80,7 @@ def prepare(
     progress("looking where the arm stands and where blocks wait")
     job = set_up(job, workcell.arm, workcell.tool, workcell.site, progress)
     progress("looking for an order that the arm can do")
-    cell = KinematicCell(job.arm, cells_of(job))
+    cell = KinematicCell(job.arm)
     hands = [Hands(job, cell)]
     if job.assembly.holds:
         bricks = BrickStructure(job)

@@ -27,7 +27,6 @@ from learn2assemble.cell.crew import FINE, ArmCrew, Member, Reached
 from learn2assemble.cell.fitting import neighbours
 from learn2assemble.cell.pair import Pair, gather, jobs_of, workcell_of
 from learn2assemble.cell.pressing import TURNS, PressingHand, contact_force
-from learn2assemble.cell.reach import cells_of
 from learn2assemble.cell.state import Action
 from learn2assemble.cell.structure import LEANING, Structure
 from learn2assemble.cell.telling import SharedJournal, route_of
@@ -219,9 +218,7 @@ def gather_in_turn(
         if told.by_hand
     )
     order = Arranged(jobs[0].steps, {}, hands)
-    first, second = (
-        Prepared(job, structure, order, KinematicCell(job.arm, cells_of(job))) for job in jobs
-    )
+    first, second = (Prepared(job, structure, order, KinematicCell(job.arm)) for job in jobs)
     one, other = (workcell_of(workcell, job) for job in jobs)
     return Pair((first, second), (one, other), (members[0].name, members[1].name))
 

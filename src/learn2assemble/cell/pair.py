@@ -25,7 +25,7 @@ from learn2assemble.cell.bricks import BrickStructure
 from learn2assemble.cell.building import Prepared
 from learn2assemble.cell.crew import Member
 from learn2assemble.cell.pieces import middle_of, with_rests
-from learn2assemble.cell.reach import cells_of, with_home, with_other_tools
+from learn2assemble.cell.reach import with_home, with_other_tools
 from learn2assemble.cell.report import none_placed
 from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.taking_apart import arrange_bricks, plan_in_order
@@ -82,7 +82,7 @@ def gather(
             come.
     """
     jobs = jobs_of(plan, members, workcell, joint)
-    kinematic = [KinematicCell(job.arm, cells_of(job)) for job in jobs]
+    kinematic = [KinematicCell(job.arm) for job in jobs]
     structure: Structure | None = None
     if jobs[0].standing:
         structure = Structure(jobs[0])
@@ -261,7 +261,7 @@ def _arranged(
 ) -> tuple[tuple[Job, Job], Arranged]:
     """What arms have to do, and the order in which they press bricks together."""
     jobs = jobs_of(plan, members, workcell, 0.0)
-    hands = [Hands(job, KinematicCell(job.arm, cells_of(job))) for job in jobs]
+    hands = [Hands(job, KinematicCell(job.arm)) for job in jobs]
     return jobs, arrange_bricks(hands, BrickStructure(jobs[0]), progress)
 
 

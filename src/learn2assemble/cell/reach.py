@@ -503,7 +503,7 @@ def takes_away(job: Job) -> bool:
     true of a tool that only comes from above, for which other bases change nothing."""
     if job.arm.suction is None or len(job.arm.suction.cups) == 1 or job.hands:
         return True
-    cell = KinematicCell(job.arm, cells_of(job))
+    cell = KinematicCell(job.arm)
     for world, step in removals(job):
         rows = rows_of(world, world.pose, step.block)
         ways = moves(world, rows, step.block, world.target(step.block))
@@ -581,7 +581,7 @@ def supplied(
     known = {source.shape for source in given}
     missing = [shape for shape, _ in needed.most_common() if shape not in known]
     finished = replace(job, sources=())
-    cell = KinematicCell(job.arm, cells_of(job))
+    cell = KinematicCell(job.arm)
     clear = HAND_CLEAR if job.assembly.holds else CLEAR
     structure = shapely.union_all([p.face() for p in job.pieces if not p.sunk])
     # Where it is best to look for places, and where there may be some yet.
@@ -613,12 +613,6 @@ def supplied(
         made.append(source)
         taken.append(source.area.buffer(APART))
     return replace(job, sources=(*given, *made))
-
-
-def cells_of(job: Job) -> int:
-    """Boxes in the largest scene of a build: everything, obstacles and a few spare blocks."""
-    most = max(len(piece.shape) for piece in job.pieces)
-    return sum(len(p.shape) for p in job.pieces) + len(job.obstacles) + 12 * most
 
 
 def _magazine_places(

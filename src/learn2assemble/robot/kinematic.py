@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import mujoco
@@ -315,8 +316,8 @@ STAGES = ("pick", "lift", "place", "cross", "release", "retreat")
 
 
 class KinematicCell:
-    """Reach, joint limits and collisions of one arm, for scenes of at most ``num_cells`` cubes, or
-    any number of blocks.
+    """Reach, joint limits and collisions of one arm, for scenes of any blocks, or of at most
+    ``num_cells`` cubes of the task.
 
     Joint solutions over a place are remembered, so repeated places cost collision checks only.
     A move is tried as ordered and with the fingers exchanged. One instance serves one thread.
@@ -329,7 +330,7 @@ class KinematicCell:
     def __init__(self, arm: Arm, num_cells: int = 40) -> None:
         self.arm = arm
         self.approaches: ApproachCache = ApproachCache(arm)
-        self.collisions = self._cubes = BlockChecker(arm, num_cells)
+        self.num_cells = num_cells
         self._boxes: BlockChecker | None = None
         self.apart: float = 0.0
         """How far the hand has to be from everything [m]."""
@@ -351,6 +352,11 @@ class KinematicCell:
             found = self._attempt(scene, turned(scene, move, turn))
             best = found if _further(found) > _further(best) else best
         return best
+
+    @cached_property
+    def _cubes(self) -> BlockChecker:
+        """Of scenes that do not say how large their cells are."""
+        return BlockChecker(self.arm, self.num_cells)
 
     def _checker(self, scene: Scene) -> BlockChecker:
         """A checker with room for the cells of a scene, whatever they are."""
