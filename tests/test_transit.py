@@ -26,10 +26,10 @@ from learn2assemble.robot.approach import (
     tool_path,
 )
 from learn2assemble.robot.arm import Arm, Limits, get_arm
+from learn2assemble.robot.collisions import Collision
 from learn2assemble.robot.grasps import Attitude, get_grasps
 from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.joint_path import JointPath, joint_path
-from learn2assemble.robot.kinematic import Collision
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import OPENING, Move, Scene
 from learn2assemble.simulation.bench import braked
