@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from learn2assemble.cell.site import read_site
 from learn2assemble.errors import InputError
-from learn2assemble.motion.cubics import between
 from learn2assemble.motion.plant import (
     Commands,
     Guard,
@@ -25,6 +24,7 @@ from learn2assemble.motion.plant import (
     Stop,
     ToolCommand,
     ToolReading,
+    between,
 )
 from learn2assemble.motion.safety import Box, Guarded, Safety, SafetyRules, parse_safety
 from learn2assemble.robot.arm import get_arm

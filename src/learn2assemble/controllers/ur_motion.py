@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from learn2assemble.motion.driver import Driver
+from learn2assemble.motion.driver import Driver, pose_vector
 from learn2assemble.motion.plant import Commands, Guard, Guards, Motion, ToolCommand
 from learn2assemble.motion.settings import ProgramSettings
 
@@ -78,7 +78,7 @@ def motion_script(
             wait=WAIT,
             debounce=DEBOUNCE,
             held=_held(settings),
-            tcp=_list(_pose(driver.tcp)),
+            tcp=_list(pose_vector(driver.tcp)),
             contact=ScriptOutcome.CONTACT.value,
             taken=ScriptOutcome.HELD.value,
             force=ScriptOutcome.FORCE.value,
@@ -246,14 +246,6 @@ def _command(command: ToolCommand, driver: Driver, settings: ProgramSettings) ->
         centre = (driver.tool_mass * driver.tool_centre + command.load * driver.tcp[:3]) / mass
         out.append(f"set_payload({mass:.4f}, [{_list(centre)}])")
     return "\n".join(out)
-
-
-def _pose(pose: np.ndarray) -> np.ndarray:
-    """x, y, z and a rotation vector float64[6], of a position and a quaternion float64[7]."""
-    from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs]
-
-    turn = Rotation.from_quat(pose[3:], scalar_first=True).as_rotvec()
-    return np.concatenate([pose[:3], turn])
 
 
 def _list(values: Any) -> str:

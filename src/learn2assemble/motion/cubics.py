@@ -7,28 +7,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from learn2assemble.motion.plant import Commands, Guard, Guards, Motion, ToolCommand
+from learn2assemble.motion.plant import Commands, Guard, Guards, Motion, ToolCommand, between
 
 CLOSE = 5e-5
 """A motion with fewer samples is nowhere farther from the one it was [rad]."""
 LONGEST = 0.25
 """Between two of its samples [s]."""
-
-
-def between(motion: Motion, at: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Positions, velocities and accelerations, each float64[m, n], at times float64[m] within a
-    motion of two samples or more."""
-    time, q, v = motion.time, motion.joints, motion.velocity
-    piece = np.clip(np.searchsorted(time, at, "right") - 1, 0, len(time) - 2)
-    h = (time[piece + 1] - time[piece])[:, None]
-    u = (at - time[piece])[:, None] / h
-    v0, v1, d = v[piece] * h, v[piece + 1] * h, q[piece + 1] - q[piece]
-    c2, c3 = 3 * d - 2 * v0 - v1, v0 + v1 - 2 * d
-    return (
-        q[piece] + u * (v0 + u * (c2 + u * c3)),
-        (v0 + u * (2 * c2 + 3 * u * c3)) / h,
-        (2 * c2 + 6 * u * c3) / h**2,
-    )
 
 
 def thinned(motion: Motion, marks: Sequence[float] = ()) -> Motion:

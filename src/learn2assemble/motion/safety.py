@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from learn2assemble.errors import InputError
-from learn2assemble.motion.cubics import between, slower
+from learn2assemble.motion.cubics import slower
 from learn2assemble.motion.plant import (
     Commands,
     Guard,
@@ -24,6 +24,7 @@ from learn2assemble.motion.plant import (
     Report,
     Stop,
     WrappedPlant,
+    between,
 )
 from learn2assemble.robot.arm import Arm, arm_spec
 from learn2assemble.robot.kinematics import Chain, forward_many, get_chain
