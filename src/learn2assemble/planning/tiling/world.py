@@ -31,10 +31,17 @@ from learn2assemble.planning.tiling.candidates import (
     find_candidates,
 )
 from learn2assemble.planning.tiling.props import FIRM, choose_props
-from learn2assemble.planning.tiling.stack import StackArrays, block_masses, find_stack, grow_stack
+from learn2assemble.planning.tiling.stack import block_masses, find_stack, grow_stack
 from learn2assemble.planning.tiling.tile import Tiling, check_cells
 from learn2assemble.statics.local_proof import settle
-from learn2assemble.statics.step_proof import EDGE_INSET, Proof, Stack, lies_below, load_at_rest
+from learn2assemble.statics.step_proof import (
+    EDGE_INSET,
+    Proof,
+    Stack,
+    StackArrays,
+    lies_below,
+    load_at_rest,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,7 +238,7 @@ class LatticeWorld:
         """Number of wanted cells that are open."""
         self.proof: Proof = _nothing(site.kit)
         for kind in np.flatnonzero(self.heap == 0):
-            self._run_out(int(kind))
+            _run_out(int(kind), site.arrays, self.arrays)
 
     def copy(self) -> LatticeWorld:
         """A world that goes its own way."""
@@ -240,6 +247,11 @@ class LatticeWorld:
         for name in ("owner", "alive", "waits", "cover", "heap", "placed", "propped"):
             setattr(other, name, getattr(self, name).copy())
         return other
+
+    @property
+    def arrays(self) -> WorldArrays:
+        """What kernels change of it."""
+        return WorldArrays(self.owner, self.alive, self.waits, self.cover, self.heap)
 
     @property
     def complete(self) -> bool:
@@ -294,16 +306,15 @@ class LatticeWorld:
         """
         site, stack, count = self.site, self.proof.stack, len(self.placed)
         (x, y, z), (dx, dy, dz) = site.wanted.shape, site.kit.pitch
-        old = stack.weight, stack.centre, stack.point, stack.upper
         arrays, force, laid = _lay(
             np.array(candidates, np.int64),
             site.arrays,
-            _Growing(self.owner, self.alive, self.waits, self.cover, self.heap),
+            self.arrays,
             np.array(self.propped, np.int64),
             (x, y, z),
             (float(dx), float(dy), float(dz)),
             site.kit.joint_gap / 2 + EDGE_INSET * min(dx, dy),
-            (*old, stack.lower, stack.share, stack.start, stack.rank),
+            stack.arrays,
             self.proof.force,
             count,
         )
@@ -347,30 +358,13 @@ class LatticeWorld:
     def put(self, candidate: int) -> None:
         """Put down a candidate that is known to stand."""
         site, kind = self.site, int(self.site.kind[candidate])
-        _fill(
-            site.cells(candidate),
-            len(self.placed),
-            self.owner,
-            self.alive,
-            self.waits,
-            self.cover,
-            site.over_start,
-            site.over,
-            site.on_start,
-            site.on,
-            site.found.start,
-            site.found.cell,
-        )
+        _fill(site.cells(candidate), len(self.placed), site.arrays, self.arrays)
         self.open -= len(site.cells(candidate))
         self.placed.append(candidate)
         if self.heap[kind] > 0:
             self.heap[kind] -= 1
             if self.heap[kind] == 0:
-                self._run_out(kind)
-
-    def _run_out(self, kind: int) -> None:
-        found = self.site.found
-        _run_out(kind, self.site.kind, found.start, found.cell, self.alive, self.cover)
+                _run_out(kind, site.arrays, self.arrays)
 
     def _by_program(self, candidate: int) -> Proof | None:
         """The proof of the state with one more block by the linear program; None where it falls."""
@@ -396,51 +390,6 @@ class LatticeWorld:
         return [(int(x), int(y), int(z)) for x, y, z in at]
 
 
-@kernel
-def _fill(
-    cells: np.ndarray,
-    number: int,
-    owner: np.ndarray,
-    alive: np.ndarray,
-    waits: np.ndarray,
-    cover: np.ndarray,
-    over_start: np.ndarray,
-    over: np.ndarray,
-    on_start: np.ndarray,
-    on: np.ndarray,
-    start: np.ndarray,
-    cell: np.ndarray,
-) -> None:
-    """Fill ``cells`` with block ``number``: candidates there are gone, those above come nearer."""
-    for c in cells:
-        owner[c] = number
-        for k in range(over_start[c], over_start[c + 1]):
-            d = over[k]
-            if alive[d]:
-                alive[d] = False
-                for j in range(start[d], start[d + 1]):
-                    cover[cell[j]] -= 1
-        for k in range(on_start[c], on_start[c + 1]):
-            waits[on[k]] -= 1
-
-
-@kernel
-def _run_out(
-    gone: int,
-    kind: np.ndarray,
-    start: np.ndarray,
-    cell: np.ndarray,
-    alive: np.ndarray,
-    cover: np.ndarray,
-) -> None:
-    """No candidate of a kind can be put down any more."""
-    for k in range(len(kind)):
-        if alive[k] and kind[k] == gone:
-            alive[k] = False
-            for j in range(start[k], start[k + 1]):
-                cover[cell[j]] -= 1
-
-
 class SiteArrays(NamedTuple):
     """What kernels take of a :class:`LatticeSite` and its candidates, by the names there."""
 
@@ -457,7 +406,7 @@ class SiteArrays(NamedTuple):
     centre: np.ndarray
 
 
-class _Growing(NamedTuple):
+class WorldArrays(NamedTuple):
     """What changes of a :class:`LatticeWorld`, in place."""
 
     owner: np.ndarray
@@ -468,10 +417,35 @@ class _Growing(NamedTuple):
 
 
 @kernel
+def _fill(cells: np.ndarray, number: int, site: SiteArrays, world: WorldArrays) -> None:
+    """Fill ``cells`` with block ``number``: candidates there are gone, those above come nearer."""
+    for c in cells:
+        world.owner[c] = number
+        for k in range(site.over_start[c], site.over_start[c + 1]):
+            d = site.over[k]
+            if world.alive[d]:
+                world.alive[d] = False
+                for j in range(site.start[d], site.start[d + 1]):
+                    world.cover[site.cell[j]] -= 1
+        for k in range(site.on_start[c], site.on_start[c + 1]):
+            world.waits[site.on[k]] -= 1
+
+
+@kernel
+def _run_out(gone: int, site: SiteArrays, world: WorldArrays) -> None:
+    """No candidate of a kind can be put down any more."""
+    for k in range(len(site.kind)):
+        if world.alive[k] and site.kind[k] == gone:
+            world.alive[k] = False
+            for j in range(site.start[k], site.start[k + 1]):
+                world.cover[site.cell[j]] -= 1
+
+
+@kernel
 def _lay(
     candidates: np.ndarray,
     site: SiteArrays,
-    world: _Growing,
+    world: WorldArrays,
     propped: np.ndarray,
     shape: tuple[int, int, int],
     pitch: tuple[float, float, float],
@@ -494,34 +468,23 @@ def _lay(
             way = site.way[c]
             block = float(site.weight[way]), site.centre[way], site.origin[c]
             grown = grow_stack(cells, world.owner, propped, shape, pitch, inset, block, stack)
-            weight, centre, point, upper, lower, share, start, rank = grown
-            load = load_at_rest(weight, centre, point, upper, lower, share, start, rank, unit)
-            forces = np.zeros(len(upper))
+            load = load_at_rest(grown, unit)
+            forces = np.zeros(len(load.upper))
             forces[: len(force)] = force
-            placed, dirty = np.ones(len(weight), np.bool_), np.zeros(len(weight), np.bool_)
+            placed, dirty = (
+                np.ones(len(load.weight), np.bool_),
+                np.zeros(len(load.weight), np.bool_),
+            )
             dirty[-1] = True
             if not settle(load, forces, placed, dirty, False):
                 continue
             stack, force = grown, forces
-            _fill(
-                cells,
-                count + done,
-                world.owner,
-                world.alive,
-                world.waits,
-                world.cover,
-                site.over_start,
-                site.over,
-                site.on_start,
-                site.on,
-                site.start,
-                site.cell,
-            )
+            _fill(cells, count + done, site, world)
             kind = int(site.kind[c])
             if world.heap[kind] > 0:
                 world.heap[kind] -= 1
                 if world.heap[kind] == 0:
-                    _run_out(kind, site.kind, site.start, site.cell, world.alive, world.cover)
+                    _run_out(kind, site, world)
             laid[done] = c
             gone[k] = moving = True
             done += 1
@@ -582,7 +545,7 @@ def grow(world: LatticeWorld, candidate: int) -> Stack:
         (float(pitch[0]), float(pitch[1]), float(pitch[2])),
         site.kit.joint_gap / 2 + EDGE_INSET * min(pitch[:2]),
         (site.weight[way], site.centre[way], site.found.origin[candidate]),
-        (old.weight, old.centre, old.point, old.upper, old.lower, old.share, old.start, old.rank),
+        old.arrays,
     )
     return Stack(*made, old.cell)
 
