@@ -9,7 +9,6 @@ out where one is named. The agent of the paper builds random problems of its tas
 from __future__ import annotations
 
 import inspect
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -235,7 +234,9 @@ def build(
         kit = kit_of(found, kit)
         props = supports != "none"
         if standing is not None:
-            kits = _kits_from(kit, standing)
+            from learn2assemble.planning.rebuild import fewest_moved, kits_from
+
+            kits = kits_from(kit, standing)
             given["seconds"] = limit / len(kits)
             tried = list[Plan]()
             for one in kits:
@@ -245,7 +246,7 @@ def build(
                     # Some of the blocks may not fill what all of them do.
                     if one is kits[-1]:
                         raise
-            plan = _with_friction(_rebuilt(standing, tried, limit, progress), friction)
+            plan = _with_friction(fewest_moved(standing, tried, limit, progress), friction)
             return plan if how is None else rebuilt_by(how, plan, kit.joint_gap, progress)
         if kit.joint.law == "clutch":
             plan = bricks_plan(found, kit, workcell, help_, choice, given)
@@ -258,7 +259,9 @@ def build(
         plan = replace(plan, design=replace(plan.design, source=source))
     if standing is None:
         return _with_friction(plan, friction)
-    plan = _with_friction(_rebuilt(standing, [plan], limit, progress), friction)
+    from learn2assemble.planning.rebuild import fewest_moved
+
+    plan = _with_friction(fewest_moved(standing, [plan], limit, progress), friction)
     joint = found.kit.joint_gap if isinstance(found, Goals) else 0.0
     return plan if how is None else rebuilt_by(how, plan, joint, progress)
 
@@ -364,48 +367,6 @@ def _read_old(old: object) -> Assembly:
     if not isinstance(old, Assembly):
         raise InputError("old", _called(old), "an assembly or its file")
     return old
-
-
-def _kits_from(kit: Kit, old: Assembly) -> list[Kit]:
-    """Blocks that a design may be filled with where a structure stands already: those of that
-    alone, any number of its kinds, and all of the kit.
-
-    Raises:
-        InputError: for blocks that the kit has not, and for a kit whose joints are not dry.
-    """
-    if kit.joint.law != "dry":
-        got = f"kit {kit.name} of {kit.joint.law} joints"
-        raise InputError("old structure", got, "dry blocks")
-    names = [kind.name for kind in kit.kinds]
-    there = [block for block in old.finished.blocks if not block.support]
-    for block in there:
-        where = f"old structure: kind of block {block.id} (kit {kit.name})"
-        check_name(where, block.kind, names)
-    count = Counter(block.kind for block in there)
-    own = replace(kit, kinds=tuple(replace(k, count=count[k.name]) for k in kit.kinds))
-    same = replace(kit, kinds=tuple(k for k in kit.kinds if count[k.name]))
-    return [own, same, kit]
-
-
-def _rebuilt(
-    old: Assembly, tried: list[Plan], seconds: float, progress: Callable[[str], None]
-) -> Plan:
-    """A structure turned into whichever plan takes the fewest moves."""
-    from learn2assemble.planning.rebuild import rebuild
-
-    # Kits that differ often give the same blocks, of which the first plan is enough.
-    some: dict[object, Plan] = {}
-    for plan in [plan for plan in tried if plan.complete] or tried[-1:]:
-        blocks = () if plan.assembly is None else plan.assembly.blocks
-        placed = tuple((block.kind, block.vertices.tobytes()) for block in blocks)
-        some.setdefault((placed, plan.gap_range), plan)
-    plans = [*some.values()]
-    limit = seconds / len(plans)
-    found = [rebuild(old, plan, seconds=limit, progress=progress) for plan in plans]
-    return min(
-        found,
-        key=lambda plan: (not plan.complete, 0 if plan.rebuilt is None else plan.rebuilt.moves),
-    )
 
 
 def _with_friction(plan: Plan, asked: Bounds) -> Plan:
