@@ -58,21 +58,8 @@ if TYPE_CHECKING:
 MAX_PLACES, MAX_ENTRIES = 400, 64
 MOST_LEAN = 0.2
 """A base leans by no more than this sine."""
-_KEYS = (
-    "format",
-    "version",
-    "units",
-    "base",
-    "arms",
-    "table",
-    "obstacles",
-    "magazines",
-    "pallets",
-    "positions",
-    "cameras",
-    SECTION,
-    SAFETY,
-)
+_LISTS = ("obstacles", "magazines", "pallets", "positions", "cameras")
+_KEYS = ("format", "version", "units", "base", "arms", "table", *_LISTS, SECTION, SAFETY)
 TABLE = (1.5, 1.0)
 """Size along x and y of a table of which nothing is said [m]."""
 
