@@ -29,8 +29,8 @@ from learn2assemble.cell.pair import Pair, gather, jobs_of, workcell_of
 from learn2assemble.cell.pressing import TURNS, PressingHand, contact_force
 from learn2assemble.cell.state import Action
 from learn2assemble.cell.structure import LEANING, Structure
-from learn2assemble.cell.telling import SharedJournal, route_of
-from learn2assemble.cell.together import Cell, Together, built_by, key_of_two, simulated
+from learn2assemble.cell.telling import SharedJournal, key_of_two, route_of
+from learn2assemble.cell.together import Cell, Together, built_by
 from learn2assemble.cell.workcell import LEANS, STANDS, Progress, StepOf, Workcell
 from learn2assemble.cell.world import STANDING, Rows, direction_of, rows_of, supply_of
 from learn2assemble.errors import InputError
@@ -46,6 +46,7 @@ from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.moves import Move, Outcome
 from learn2assemble.simulation.execution import Execution
+from learn2assemble.simulation.plant import simulated
 from learn2assemble.statics.states import State
 
 MOST = 12

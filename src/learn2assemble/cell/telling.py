@@ -19,11 +19,15 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from learn2assemble.cell.building import Building
+from learn2assemble.cell.carry_out import key_of
 from learn2assemble.cell.journal import append_state, last_joints, packed, read_states
+from learn2assemble.cell.pair import Pair
 from learn2assemble.cell.state import Done
 from learn2assemble.cell.traffic import APART, Leg, Route
+from learn2assemble.cell.workcell import Workcell
 from learn2assemble.cell.world import STANDING, STOCK
 from learn2assemble.motion.plant import Plant, Readings
+from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.capsules import WIDEST, capsules_of, in_hand, solid_capsules
 from learn2assemble.robot.sweeps import clear, still, sweep
@@ -180,6 +184,13 @@ class Turn(NamedTuple):
     """[s of the plant's clock]"""
     end: float
     """[s of the plant's clock]"""
+
+
+def key_of_two(plan: Plan, crew: Pair, workcell: Workcell) -> str:
+    """As :func:`~.carry_out.key_of`, of two arms: with who they are and where they stand."""
+    arms = (one.job.arm for one in crew.found)
+    told = [(one.name, one.tool_name, one.base_position.tolist(), one.base_yaw) for one in arms]
+    return f"{key_of(plan, workcell)} {(crew.names, told)!r}"
 
 
 class SharedJournal(NamedTuple):
