@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from learn2assemble.kernels import kernel
-from learn2assemble.planning.tiling.world import LatticeWorld, SiteArrays, WorldArrays
+from learn2assemble.planning.tiling.laying import SiteArrays, WorldArrays
+from learn2assemble.planning.tiling.world import LatticeWorld
 
 DEPTH = 5
 """How far the cells beside a candidate are seen one by one [cells]."""
