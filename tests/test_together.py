@@ -64,9 +64,8 @@ from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.capsules import apart, capsules_of, in_hand, solid_capsules
 from learn2assemble.robot.capsules import placed as lines_at
 from learn2assemble.robot.kinematics import get_chain
-from learn2assemble.robot.moves import Outcome
+from learn2assemble.robot.moves import Failure, Outcome
 from learn2assemble.robot.sweeps import Sweep, clear, still, sweep
-from learn2assemble.simulation.model import Failure
 from learn2assemble.simulation.plant import DynamicPlant
 from learn2assemble.viewer.playback import Playback
 

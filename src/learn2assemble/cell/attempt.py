@@ -18,7 +18,7 @@ from learn2assemble.motion.plant import Motion, Plant, ToolCommand
 from learn2assemble.motion.record import RATE, Stage
 from learn2assemble.motion.recorder import StepMotion
 from learn2assemble.robot.approach import ApproachPath, approach_path, tool_path
-from learn2assemble.robot.moves import Move, Outcome, Scene, turned, turns
+from learn2assemble.robot.moves import Failure, Move, Outcome, Scene, turned, turns
 from learn2assemble.simulation.cell import DynamicCell
 from learn2assemble.simulation.execution import (
     BLIND,
@@ -29,14 +29,8 @@ from learn2assemble.simulation.execution import (
     abandon,
     straight_motion,
 )
-from learn2assemble.simulation.model import (
-    Failure,
-    Order,
-    SimulatedWorld,
-    lean_table,
-    rigid_objects,
-    take_order,
-)
+from learn2assemble.simulation.model import SimulatedWorld, lean_table
+from learn2assemble.simulation.objects import Order, rigid_objects, take_order
 from learn2assemble.simulation.prepare import (
     PRESS,
     STRAIGHT,

@@ -32,7 +32,7 @@ from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.capsules import WIDEST, capsules_of, in_hand, solid_capsules
 from learn2assemble.robot.sweeps import clear, still, sweep
 from learn2assemble.simulation.execution import Execution
-from learn2assemble.simulation.model import Order, part_of
+from learn2assemble.simulation.objects import Order, part_of
 
 
 class Turns(Protocol):

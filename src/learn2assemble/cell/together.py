@@ -41,8 +41,8 @@ from learn2assemble.motion.recorder import StepMotion
 from learn2assemble.motion.setup import Setup
 from learn2assemble.planning.plan import Plan
 from learn2assemble.progress import Detail
+from learn2assemble.robot.moves import Failure
 from learn2assemble.simulation.execution import EMPTY, Execution
-from learn2assemble.simulation.model import Failure
 
 LOOK_AGAIN = 0.1
 """An arm that has nothing to do looks again after this time [s]."""

@@ -38,9 +38,8 @@ from learn2assemble.motion.plant import (
 )
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.capsules import Capsules, capsules_of
-from learn2assemble.robot.moves import Outcome
+from learn2assemble.robot.moves import Failure, Outcome
 from learn2assemble.robot.sweeps import Sweep, clear, sweep
-from learn2assemble.simulation.model import Failure
 
 APART, PLANNED = 0.015, 0.02
 """So far the arms keep from each other as they are told to move, which they stray from by 2.4 mm

@@ -22,7 +22,7 @@ from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.simulation.bench import Bench
 from learn2assemble.simulation.disturbances import Straying
 from learn2assemble.simulation.dynamic_world import DynamicWorld
-from learn2assemble.simulation.model import concerned
+from learn2assemble.simulation.objects import concerned
 from learn2assemble.simulation.simulation import NOBODY, Simulation
 from learn2assemble.simulation.things import check_motion, nearest
 

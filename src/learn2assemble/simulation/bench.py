@@ -11,9 +11,9 @@ import numpy as np
 from learn2assemble.motion.plant import Commands, Guard, Guards, Motion, Report, Stop, ToolReading
 from learn2assemble.motion.program import LOAD_TIME
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.moves import Outcome
+from learn2assemble.robot.moves import Failure, Outcome
 from learn2assemble.simulation.contacts import BLIND, Rules, Watch
-from learn2assemble.simulation.model import TIMESTEP, Failure
+from learn2assemble.simulation.model import TIMESTEP
 from learn2assemble.simulation.simulation import BLOCK, HOLDS, Simulation
 from learn2assemble.simulation.trajectory import PathSamples, load_ruckig
 

@@ -39,7 +39,8 @@ from learn2assemble.robot.scene import rotation_matrix
 from learn2assemble.robot.studs import GROUND, StudJoint, Studs
 
 if TYPE_CHECKING:
-    from learn2assemble.simulation.model import Objects, SimulatedWorld
+    from learn2assemble.simulation.model import SimulatedWorld
+    from learn2assemble.simulation.objects import Objects
 
 CAPTURE, CAPTURE_TURN = 0.0015, math.radians(3.0)
 """So far from its place a knob finds its hole [m], [rad]."""

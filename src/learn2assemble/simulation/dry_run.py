@@ -18,11 +18,12 @@ from learn2assemble.geometry.rotations import cube_yaw, quaternion_matrix
 from learn2assemble.motion.program import LOAD_TIME, Blocks, Program, ProgramStep, left_alone
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.grasps import Attitude, facing
-from learn2assemble.robot.moves import Move, Scene
+from learn2assemble.robot.moves import Failure, Move, Scene
 from learn2assemble.robot.studs import GROUND, Studs
 from learn2assemble.simulation.cell import REST_TIME, DynamicCell, clutch_of
 from learn2assemble.simulation.contacts import BLIND, PUSH, Rules, Watch
-from learn2assemble.simulation.model import TIMESTEP, Failure, rigid_objects
+from learn2assemble.simulation.model import TIMESTEP
+from learn2assemble.simulation.objects import rigid_objects
 from learn2assemble.simulation.simulation import SimulatedState, Simulation, Trace
 from learn2assemble.simulation.trajectory import PathSamples
 

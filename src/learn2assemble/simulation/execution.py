@@ -30,14 +30,10 @@ from learn2assemble.robot.arm import Arm, Limits
 from learn2assemble.robot.grasps import facing
 from learn2assemble.robot.joint_path import JointPath, joint_path
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.moves import STAGES, Outcome, carried
+from learn2assemble.robot.moves import STAGES, Failure, Outcome, carried
 from learn2assemble.simulation.load import hanging, peak_load
-from learn2assemble.simulation.model import (
-    TIMESTEP,
-    Failure,
-    Order,
-    SimulatedWorld,
-)
+from learn2assemble.simulation.model import TIMESTEP, SimulatedWorld
+from learn2assemble.simulation.objects import Order
 from learn2assemble.simulation.prepare import Course, leaving, rest_pose
 from learn2assemble.simulation.trajectory import (
     PathLimits,
