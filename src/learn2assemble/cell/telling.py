@@ -168,8 +168,7 @@ def _loads(order: Order) -> frozenset[str]:
     """See :attr:`Route.loads`."""
     own = set(order.scene.members(order.move.cell).tolist())
     joints = () if order.scene.studs is None else order.scene.studs.joints
-    outer = [one for one in joints if (one.upper in own) != (one.lower in own)]
-    return frozenset("lift" if one.home else "place" for one in outer)
+    return frozenset("lift" if one.home else "place" for one in joints if one.leaves(own))
 
 
 # ---------------------------------------------------------------- what a file is told

@@ -202,10 +202,7 @@ class Clutch:
         """From now on an arm moves this object; none where the number is below 0."""
         own = set(np.flatnonzero(self._owner == target).tolist())
         self._wanted[who] = [
-            n
-            for n in self._slot
-            if not self.joints[n].home
-            and (self.joints[n].upper in own) != (self.joints[n].lower in own)
+            n for n in self._slot if self.joints[n].leaves(own) and not self.joints[n].home
         ]
 
     @property

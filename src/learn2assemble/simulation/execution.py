@@ -507,10 +507,7 @@ class Execution:
         if studs is None:
             return 0.0
         own = set(self.order.scene.members(move.cell).tolist())
-        wanted = any(
-            not joint.home and (joint.upper in own) != (joint.lower in own)
-            for joint in studs.joints
-        )
+        wanted = any(joint.leaves(own) and not joint.home for joint in studs.joints)
         return studs.press if wanted else 0.0
 
     def release(self, stage: str, guard: Guard) -> None:
