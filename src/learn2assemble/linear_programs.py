@@ -215,15 +215,14 @@ def pass_columns(
         matrix: start, index and value of :class:`LinearProgram`.
         integer: which columns are integers.
     """
-    n, m, number = len(cost), len(rows[0]), len(matrix[2])
+    n, m, e, form = len(cost), len(rows[0]), len(matrix[2]), int(highspy.MatrixFormat.kColwise)
     start, index = (np.ascontiguousarray(part, np.int32) for part in matrix[:2])
-    cost, *reals = (np.ascontiguousarray(part, float) for part in (cost, *bounds, *rows))
-    value = np.ascontiguousarray(matrix[2], float)
+    reals = (cost, *bounds, *rows, matrix[2])
+    cost, low, high, least, most, value = (np.ascontiguousarray(part, float) for part in reals)
     kinds = np.broadcast_to(integer, n).astype(np.int32)
-    columnwise = int(highspy.MatrixFormat.kColwise)
     # Arrays, not a HighsLp: its fields are lists, which take a millisecond to fill.
     return solver.passModel(
-        n, m, number, columnwise, int(sense), 0.0, cost, *reals, start, index, value, kinds
+        n, m, e, form, int(sense), 0.0, cost, low, high, least, most, start, index, value, kinds
     )
 
 

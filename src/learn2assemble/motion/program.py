@@ -89,8 +89,8 @@ class ProgramStep(NamedTuple):
     held: tuple[float, float] | None
     """When the object begins and ceases to follow the hand [s]."""
     after: np.ndarray | None = None
-    """float64[C, 7]: poses of all cells after the step, as in :class:`.places.Blocks`; None where that was
-    not told."""
+    """float64[C, 7]: poses of all cells after the step, as in :class:`~.places.Blocks`; None where
+    that was not told."""
     plan_step: int | None = None
     """The step of the plan that it carries out, or tries to."""
     pick: Pick | None = None

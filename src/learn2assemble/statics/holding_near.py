@@ -261,7 +261,8 @@ class NearForces:
             gone += 1
             if gone == _OPEN * 3 // 4:
                 break
-        lower &= ~hanging(*self._pairs, lower, self.balance.fixed | held)
+        still = self.balance.fixed | held
+        lower &= ~hanging(self._pairs[0], self._pairs[1], lower, still)
         return lower if int((present & ~lower).sum()) <= _OPEN else None
 
     def _elastic(
