@@ -168,20 +168,11 @@ def compile_world(
             continue
         # The block in the cup: which one, where, and whether, is said when it is attached.
         firm = arm.suction.studs > 0
-        weld = spec.add_equality(
-            name=f"{prefix_of(number)}cup",
-            type=mujoco.mjtEq.mjEQ_WELD,
-            objtype=mujoco.mjtObj.mjOBJ_BODY,
-            name1=f"{prefix_of(number)}{arm.gripper.hand}",
-            name2="object0" if shape else "",
-            active=False,
-            solref=_STUD_REF if firm else _CUP_REF,
-            solimp=_STUD_IMP if firm else _CUP_IMP,
-        )
-        weld.data[:] = 0.0
+        name, body = prefix_of(number), "object0" if shape else ""
+        _add_weld(spec, f"{name}cup", f"{name}{arm.gripper.hand}", body, firm)
     num_welds = num_welds if shape else 0
-    if num_welds:
-        _add_welds(spec, num_welds, "object0")
+    for number in range(num_welds):
+        _add_weld(spec, f"clutch{number}", "world", "object0", firm=True)
     plan = spec.compile()
     plan.opt.enableflags = 0
     for part in arm_parts:
@@ -196,20 +187,19 @@ def compile_world(
     return world
 
 
-def _add_welds(spec: mujoco.MjSpec, count: int, body: str) -> None:
-    """Room for so many joints in a model; which bodies they join is said later."""
-    for number in range(count):
-        weld = spec.add_equality(
-            name=f"clutch{number}",
-            type=mujoco.mjtEq.mjEQ_WELD,
-            objtype=mujoco.mjtObj.mjOBJ_BODY,
-            name1="world",
-            name2=body,
-            active=False,
-            solref=_STUD_REF,
-            solimp=_STUD_IMP,
-        )
-        weld.data[:] = 0.0
+def _add_weld(spec: mujoco.MjSpec, name: str, one: str, other: str, firm: bool) -> None:
+    """Room for a joint in a model; which bodies it joins is said later."""
+    weld = spec.add_equality(
+        name=name,
+        type=mujoco.mjtEq.mjEQ_WELD,
+        objtype=mujoco.mjtObj.mjOBJ_BODY,
+        name1=one,
+        name2=other,
+        active=False,
+        solref=_STUD_REF if firm else _CUP_REF,
+        solimp=_STUD_IMP if firm else _CUP_IMP,
+    )
+    weld.data[:] = 0.0
 
 
 def hold_still(world: SimulatedWorld, objects: Objects) -> None:
