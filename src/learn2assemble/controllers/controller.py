@@ -17,9 +17,9 @@ from learn2assemble.controllers.common import (
     lost,
     marks_of,
     not_begun,
+    thinned,
 )
 from learn2assemble.geometry.rotations import quaternion_matrix
-from learn2assemble.motion.cubics import thinned
 from learn2assemble.motion.driver import Driver, driver_of
 from learn2assemble.motion.plant import (
     BlockReading,

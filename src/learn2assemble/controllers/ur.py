@@ -22,6 +22,7 @@ from learn2assemble.controllers.common import (
     lost,
     marks_of,
     refused,
+    thinned,
 )
 from learn2assemble.controllers.controller import (
     CONNECT,
@@ -41,7 +42,6 @@ from learn2assemble.controllers.ur_motion import (
     stop_script,
 )
 from learn2assemble.errors import InputError, extra
-from learn2assemble.motion.cubics import thinned
 from learn2assemble.motion.plant import (
     Commands,
     Guards,

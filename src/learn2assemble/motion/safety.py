@@ -14,7 +14,6 @@ import mujoco
 import numpy as np
 
 from learn2assemble.errors import InputError
-from learn2assemble.motion.cubics import slower
 from learn2assemble.motion.plant import (
     Commands,
     Guard,
@@ -23,6 +22,7 @@ from learn2assemble.motion.plant import (
     Plant,
     Report,
     Stop,
+    ToolCommand,
     WrappedPlant,
     between,
 )
@@ -300,7 +300,7 @@ class Guarded(WrappedPlant):
         if self.safety.speed is not None:
             factor = max(factor, self.rules.peak_speed(motion) / self.safety.speed)
         if factor > 1:
-            motion, commands, guards = slower(motion, commands, guards, factor)
+            motion, commands, guards = _slower(motion, commands, guards, factor)
         return self.plant.execute(motion, commands, self._pressed(guards))
 
     def _pressed(self, guards: Guards) -> Guards:
@@ -322,3 +322,14 @@ class Guarded(WrappedPlant):
             )
             for one in (*first, *guards)
         ]
+
+
+def _slower(
+    motion: Motion, commands: Commands, guards: Guards, factor: float
+) -> tuple[Motion, list[ToolCommand], list[Guard]]:
+    """A motion on the same path in ``factor`` times its time, with what happens during it."""
+    return (
+        Motion(motion.stage, motion.time * factor, motion.joints, motion.velocity / factor),
+        [one._replace(at=one.at * factor) for one in commands],
+        [one._replace(begin=one.begin * factor) for one in guards],
+    )
