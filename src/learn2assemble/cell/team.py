@@ -18,9 +18,9 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep
 from learn2assemble.assembly.contacts import GROUND, Contacts, find_contacts
 from learn2assemble.cell.crew import ArmCrew, Member, leaning
+from learn2assemble.cell.magazines import APART, supplied
 from learn2assemble.cell.pieces import Piece, middle_of, pieces_of, ways_to_rest, with_rests
 from learn2assemble.cell.reach import (
-    APART,
     DISTANCES,
     Base,
     Reach,
@@ -33,7 +33,6 @@ from learn2assemble.cell.reach import (
     place_arm,
     reach_from,
     resting,
-    supplied,
     way_down,
 )
 from learn2assemble.cell.site import Obstacle, Site, Source, given_sources, outline
