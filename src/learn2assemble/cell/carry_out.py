@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -119,7 +119,7 @@ def carry_out(
         plan = plan_in_order(plan, order.steps)
     progress("starting the simulation" if plant is None else "looking at the cell")
     setup = setup_of(job, workcell, found.structure)
-    plant = plant or open_plant("sim://", setup)
+    plant = plant or simulated(setup)
     seen = through_cameras(plant, setup, job.pieces, workcell.site.cameras)
     kept = Kept.of(seen)
     words, witness = words_of(job, workcell), Witness(plant)
@@ -188,6 +188,11 @@ def advise(plan: Plan, workcell: Workcell, joint: float, progress: Progress) -> 
 def _told_of(tool: str, progress: Progress) -> Progress:
     """What is told while another tool is tried: never more than how far that has come."""
     return lambda text: progress(Detail(f"trying the tool {tool}: {text}"))
+
+
+def simulated(setup: Setup) -> Any:
+    """The simulated cell that is described, with all its arms."""
+    return open_plant("sim://", setup)
 
 
 def setup_of(job: Job, workcell: Workcell, structure: Structure | None = None) -> Setup:

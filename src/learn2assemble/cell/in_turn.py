@@ -23,6 +23,7 @@ from learn2assemble.assembly.contacts import Contacts, find_contacts
 from learn2assemble.assembly.hands import Hand
 from learn2assemble.cell.arrange import Arranged
 from learn2assemble.cell.building import PAUSED, Building, Prepared
+from learn2assemble.cell.carry_out import simulated
 from learn2assemble.cell.crew import FINE, ArmCrew, Member, Reached
 from learn2assemble.cell.fitting import neighbours
 from learn2assemble.cell.pair import Pair, gather, jobs_of, workcell_of
@@ -46,7 +47,6 @@ from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.moves import Move, Outcome
 from learn2assemble.simulation.execution import Execution
-from learn2assemble.simulation.plant import simulated
 from learn2assemble.statics.states import State
 
 MOST = 12
