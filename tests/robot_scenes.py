@@ -16,9 +16,10 @@ import numpy as np
 
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.bodies import Part, Shape
+from learn2assemble.robot.collisions import BlockChecker, Collision
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.holding import attitudes
-from learn2assemble.robot.kinematic import BlockChecker, Collision, KinematicCell
+from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Move, Scene, put_down
 from learn2assemble.simulation.cell import DynamicCell
 

@@ -39,8 +39,8 @@ from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part, Shape, body_of, overlaps, solids
+from learn2assemble.robot.collisions import BlockChecker
 from learn2assemble.robot.holding import PAD, attitudes, free_face, holds_of, ways_to_turn
-from learn2assemble.robot.kinematic import BlockChecker
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import Move, Scene, carried, put_down
 from read_back import pdf_text

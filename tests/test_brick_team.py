@@ -34,7 +34,7 @@ from learn2assemble.robot.studs import Studs
 from learn2assemble.robot.sweeps import still, sweep
 from learn2assemble.simulation.cell import DynamicCell
 from learn2assemble.simulation.clutch import Clutch
-from learn2assemble.simulation.model import rigid_objects
+from learn2assemble.simulation.objects import rigid_objects
 from learn2assemble.simulation.plant import DynamicPlant
 from learn2assemble.simulation.simulation import SimulatedState
 

@@ -16,11 +16,10 @@ import pytest
 
 from fake_controller import FakeProcess
 from fake_ur import Script, ScriptError
-from learn2assemble.controllers.common import Address, ControllerClock, felt
+from learn2assemble.controllers.common import CLOSE, Address, ControllerClock, felt, thinned
 from learn2assemble.controllers.ur import STATE, UrPlant
 from learn2assemble.controllers.ur_motion import motion_script
 from learn2assemble.errors import InputError, MissingExtraError
-from learn2assemble.motion.cubics import CLOSE, between, thinned
 from learn2assemble.motion.driver import driver_of
 from learn2assemble.motion.plant import (
     Guard,
@@ -29,6 +28,7 @@ from learn2assemble.motion.plant import (
     PlantError,
     Stop,
     ToolCommand,
+    between,
     standing,
 )
 from learn2assemble.motion.settings import ProgramSettings

@@ -21,6 +21,7 @@ from learn2assemble.robot.moves import (
     OPENING,
     STAGES,
     Attempt,
+    Failure,
     Move,
     Outcome,
     Scene,
@@ -30,7 +31,8 @@ from learn2assemble.robot.moves import (
 from learn2assemble.simulation.cell import DynamicCell, ExactSenses
 from learn2assemble.simulation.drives import Drives
 from learn2assemble.simulation.execution import Execution, Rig
-from learn2assemble.simulation.model import TIMESTEP, Failure, take_order
+from learn2assemble.simulation.model import TIMESTEP
+from learn2assemble.simulation.objects import take_order
 from learn2assemble.simulation.prepare import prepare
 from learn2assemble.simulation.rest import ONE_SIDED, ShiftRule, check_rest
 from learn2assemble.simulation.simulation import SimulatedState, Simulation, Trace

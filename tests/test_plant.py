@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -12,7 +11,9 @@ from learn2assemble.errors import InputError
 from learn2assemble.motion.checked import Checked, covariance_is_sound
 from learn2assemble.motion.plant import (
     BlockReading,
+    Commands,
     Guard,
+    Guards,
     Motion,
     PlantError,
     Readings,
@@ -197,9 +198,7 @@ class Blind:
         self.time += 1.0
         return Readings(self.time, self.joints, 0 * self.joints, (), ToolReading(), ARM.name)
 
-    def execute(
-        self, motion: Motion, commands: Sequence[ToolCommand] = (), guards: Sequence[Guard] = ()
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         self.joints = motion.joints[-1].copy()
         return Report(Stop.END, 1.0, self.joints, motion.seconds, "", ToolReading(vacuum=True))
 

@@ -24,8 +24,8 @@ from learn2assemble.export.urscript import planned_frame, write_urscript
 from learn2assemble.geometry.rotations import quaternion_product, yaw_quaternion
 from learn2assemble.motion.driver import arm_of
 from learn2assemble.motion.files import read_record, record_data, record_from, write_record
-from learn2assemble.motion.places import half_turn, put_turn, ranges, step_numbers, supplied
-from learn2assemble.motion.program import Program, Supply, make_program
+from learn2assemble.motion.places import Supply, half_turn, put_turn, ranges, step_numbers, supplied
+from learn2assemble.motion.program import Program, make_program
 from learn2assemble.motion.record import BuildRecord, ByHand
 from learn2assemble.motion.settings import ProgramSettings
 from learn2assemble.planning.plan import Plan

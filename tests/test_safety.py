@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,10 @@ from hypothesis import strategies as st
 
 from learn2assemble.cell.site import read_site
 from learn2assemble.errors import InputError
-from learn2assemble.motion.cubics import between
 from learn2assemble.motion.plant import (
+    Commands,
     Guard,
+    Guards,
     Motion,
     Readings,
     Report,
@@ -24,6 +24,7 @@ from learn2assemble.motion.plant import (
     Stop,
     ToolCommand,
     ToolReading,
+    between,
 )
 from learn2assemble.motion.safety import Box, Guarded, Safety, SafetyRules, parse_safety
 from learn2assemble.robot.arm import get_arm
@@ -41,12 +42,7 @@ class Told:
     def sense(self) -> Readings:
         return Readings(0.0, ARM.home, ARM.home * 0, (), ToolReading(), "ur5e")
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         self.motions.append((motion, list(commands), list(guards)))
         return Report(Stop.END, 1.0, ARM.home, motion.seconds)
 

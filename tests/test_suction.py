@@ -24,6 +24,7 @@ from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.moves import (
     IMMOVABLE,
     STAGES,
+    Failure,
     Move,
     Outcome,
     Scene,
@@ -35,7 +36,7 @@ from learn2assemble.robot.tool import load_suction
 from learn2assemble.simulation.cell import DynamicCell, WorldForces
 from learn2assemble.simulation.cup import Vacuum
 from learn2assemble.simulation.load import Payload, peak_load
-from learn2assemble.simulation.model import Failure, free_cells, take_order
+from learn2assemble.simulation.objects import free_cells, take_order
 from learn2assemble.simulation.prepare import prepare
 from learn2assemble.simulation.simulation import SimulatedState, Simulation, Trace
 from learn2assemble.simulation.ways import WorldChecker

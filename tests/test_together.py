@@ -41,7 +41,9 @@ from learn2assemble.motion.attempts import merged
 from learn2assemble.motion.driver import arm_of
 from learn2assemble.motion.files import read_record
 from learn2assemble.motion.plant import (
+    Commands,
     Guard,
+    Guards,
     Motion,
     Report,
     Stop,
@@ -62,9 +64,8 @@ from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.capsules import apart, capsules_of, in_hand, solid_capsules
 from learn2assemble.robot.capsules import placed as lines_at
 from learn2assemble.robot.kinematics import get_chain
-from learn2assemble.robot.moves import Outcome
+from learn2assemble.robot.moves import Failure, Outcome
 from learn2assemble.robot.sweeps import Sweep, clear, still, sweep
-from learn2assemble.simulation.model import Failure
 from learn2assemble.simulation.plant import DynamicPlant
 from learn2assemble.viewer.playback import Playback
 
@@ -785,12 +786,7 @@ class Refuses(WrappedPlant):
 
     told: tuple[tuple[Motion, tuple[ToolCommand, ...]], ...] = ()
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         if motion.stage == "lift" and np.ptp(motion.joints, axis=0).any():
             raise Failure(Outcome.UNREACHABLE, "lift", "the other arm is in the way")
         self.told = (*self.told, (motion, tuple(commands)))

@@ -26,14 +26,15 @@ from learn2assemble.robot.approach import (
     tool_path,
 )
 from learn2assemble.robot.arm import Arm, Limits, get_arm
+from learn2assemble.robot.collisions import Collision
 from learn2assemble.robot.grasps import Attitude, get_grasps
 from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.joint_path import JointPath, joint_path
-from learn2assemble.robot.kinematic import Collision
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.moves import OPENING, Move, Scene
+from learn2assemble.robot.moves import OPENING, Failure, Move, Scene
 from learn2assemble.simulation.bench import braked
-from learn2assemble.simulation.model import PRESS, Failure, compile_world, take_order
+from learn2assemble.simulation.model import compile_world
+from learn2assemble.simulation.objects import PRESS, take_order
 from learn2assemble.simulation.prepare import Course, prepare
 from learn2assemble.simulation.trajectory import (
     PathLimits,

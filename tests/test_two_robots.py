@@ -8,7 +8,7 @@ import json
 import os
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache, partial
 from itertools import pairwise
@@ -32,7 +32,8 @@ from learn2assemble.errors import InputError, Learn2AssembleError
 from learn2assemble.jobs.run import Ran, run
 from learn2assemble.motion.plant import (
     BlockReading,
-    Guard,
+    Commands,
+    Guards,
     Motion,
     Plant,
     PlantError,
@@ -40,7 +41,6 @@ from learn2assemble.motion.plant import (
     Report,
     Request,
     Stop,
-    ToolCommand,
     WrappedPlant,
     standing,
 )
@@ -158,12 +158,7 @@ class Robot:
         assert self.doing is None, "one thread at a time uses a plant"
         return self.latest()
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         assert self.doing is None, "one thread at a time uses a plant"
         if self.fails(motion):
@@ -472,12 +467,7 @@ class Slow(WrappedPlant):
         super().__init__(plant)
         self.inside = 0.0
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         self.inside = 1.0
         time.sleep(0.1)
         self.inside = 0.0
@@ -570,12 +560,7 @@ class Watched(WrappedPlant):
         """See :class:`~learn2assemble.motion.robots.OneOfRobots`."""
         return self.plant.sense()._replace(time=self.begun, state="moving")
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         self.halted.clear()
         self.begun += 1.0
         stop = Stop.REFUSED if self.halted.wait(motion.seconds) else Stop.END
@@ -622,12 +607,7 @@ class Dies(WrappedPlant):
     def __init__(self, setup: Setup) -> None:
         super().__init__(KinematicPlant(setup))
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         os._exit(3)
 
 

@@ -21,7 +21,7 @@ from l2a_lab import two_arms
 from l2a_lab.arm_distances import MOMENTS, ArmDistances, Moment, WatchedCell
 from l2a_lab.stopped_arm import Pressed, StoppedCell
 from learn2assemble.assembly.kit import load_kit
-from learn2assemble.cell import together
+from learn2assemble.cell import carry_out
 from learn2assemble.cell.crew import Member
 from learn2assemble.cell.in_turn import build_by_two
 from learn2assemble.cell.pair import Pair, gather
@@ -590,7 +590,7 @@ def test_the_command_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         with monkeypatch.context() as patch:
             patch.setattr(
-                together, "open_plant", lambda _, setup: StoppedCell(setup, Pressed(0, 3.0))
+                carry_out, "open_plant", lambda _, setup: StoppedCell(setup, Pressed(0, 3.0))
             )
             assert main(words) == 1
         state = tmp_path / "out" / "build.jsonl"

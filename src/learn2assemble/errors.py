@@ -11,7 +11,7 @@ import difflib
 import importlib
 import math
 import re
-from collections.abc import Callable, Collection, Generator, Hashable, Iterable, Mapping
+from collections.abc import Callable, Collection, Generator, Hashable, Iterable, Mapping, Sequence
 from contextlib import contextmanager
 from numbers import Integral, Real
 from pathlib import Path
@@ -284,6 +284,12 @@ def trusted(source: str, expected: str, how: str = "") -> Generator[None, None, 
         told = re.sub(r"^\w+(Error|Exception): ", "", " ".join(told.split())).rstrip(".")
         reason = f"{told or type(error).__name__} (while reading it{how})"
         raise InputError(source, reason, expected) from None
+
+
+def listed(names: Sequence[object], most: int = 3) -> str:
+    """Names in words, the first of them where there are more."""
+    left = len(names) - most
+    return ", ".join(map(str, names[:most])) + (f" and {left} more" if left > 0 else "")
 
 
 def _short(value: object, limit: int = 120) -> str:

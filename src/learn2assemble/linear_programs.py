@@ -18,8 +18,6 @@ from learn2assemble.errors import Learn2AssembleError
 from learn2assemble.progress import EVERY, Detail, Progress, silent
 
 INF = math.inf
-_COLUMNWISE = int(highspy.MatrixFormat.kColwise)
-_MINIMIZE = int(highspy.ObjSense.kMinimize)
 
 
 @dataclass(frozen=True)
@@ -200,31 +198,49 @@ class Repeated:
         return _run(self._solver, seconds, False) or solve(program, seconds)
 
 
+def pass_columns(
+    solver: highspy.Highs,
+    cost: np.ndarray,
+    bounds: tuple[np.ndarray, np.ndarray],
+    rows: tuple[np.ndarray, np.ndarray],
+    matrix: tuple[np.ndarray, np.ndarray, np.ndarray],
+    integer: bool | np.ndarray = False,
+    sense: highspy.ObjSense = highspy.ObjSense.kMinimize,
+) -> highspy.HighsStatus:
+    """Hand a solver a program as arrays, which nothing checks; what it says of it.
+
+    Args:
+        bounds: of the columns, lower and upper.
+        rows: their bounds, lower and upper.
+        matrix: start, index and value of :class:`LinearProgram`.
+        integer: which columns are integers.
+    """
+    n, m, e, form = len(cost), len(rows[0]), len(matrix[2]), int(highspy.MatrixFormat.kColwise)
+    start, index = (np.ascontiguousarray(part, np.int32) for part in matrix[:2])
+    reals = (cost, *bounds, *rows, matrix[2])
+    cost, low, high, least, most, value = (np.ascontiguousarray(part, float) for part in reals)
+    kinds = np.broadcast_to(integer, n).astype(np.int32)
+    # Arrays, not a HighsLp: its fields are lists, which take a millisecond to fill.
+    return solver.passModel(
+        n, m, e, form, int(sense), 0.0, cost, low, high, least, most, start, index, value, kinds
+    )
+
+
 def _pose(program: LinearProgram, method: str) -> highspy.Highs:
     """A solver that has the program, on one thread and with the same answer every time."""
-    n, m = len(program.cost), len(program.row_lower)
     solver = highspy.Highs()
     solver.setOptionValue("output_flag", False)
     solver.setOptionValue("threads", 1)
     solver.setOptionValue("random_seed", 0)
     solver.setOptionValue("mip_abs_gap", 1e-6)
     solver.setOptionValue("solver", method)
-    status = solver.passModel(
-        n,
-        m,
-        len(program.value),
-        _COLUMNWISE,
-        _MINIMIZE,
-        0.0,
-        np.ascontiguousarray(program.cost, float),
-        np.ascontiguousarray(program.lower, float),
-        np.ascontiguousarray(program.upper, float),
-        np.ascontiguousarray(program.row_lower, float),
-        np.ascontiguousarray(program.row_upper, float),
-        np.ascontiguousarray(program.start, np.int32),
-        np.ascontiguousarray(program.index, np.int32),
-        np.ascontiguousarray(program.value, float),
-        np.broadcast_to(program.integer, n).astype(np.int32),
+    status = pass_columns(
+        solver,
+        program.cost,
+        (program.lower, program.upper),
+        (program.row_lower, program.row_upper),
+        (program.start, program.index, program.value),
+        program.integer,
     )
     if status == highspy.HighsStatus.kError:
         raise Learn2AssembleError("program: the solver refused the matrix")

@@ -13,7 +13,7 @@ import re
 import sys
 import types
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, cast
 
@@ -303,6 +303,12 @@ def _check_tree(value: Any, source: str, path: str) -> None:
             _check_tree(item, source, f"{path}[{k}]")
     elif isinstance(value, float):
         number(value, where)
+
+
+def three(values: Iterable[T]) -> tuple[T, T, T]:
+    """Three values of a row, as a checker of types counts them."""
+    x, y, z = values
+    return x, y, z
 
 
 def _check_depth(text: str, source: str) -> None:

@@ -34,6 +34,7 @@ import numpy as np
 
 from learn2assemble.constants import EDGE, HALF
 from learn2assemble.errors import Learn2AssembleError
+from learn2assemble.linear_programs import pass_columns
 from learn2assemble.tasks.evaluation.bounds import MAX_COLUMN, NUM_LEVELS
 from learn2assemble.tasks.world.coverage import ROWS, WORDS, add_box, to_pixels
 from learn2assemble.tasks.world.layouts import to_world
@@ -175,22 +176,14 @@ def _packing(
     options = {"output_flag": False, "threads": 1, "mip_rel_gap": 0.0, "mip_abs_gap": 0.99}
     for option, value in options.items():
         solver.setOptionValue(option, value)
-    solver.passModel(
-        len(rows),
-        len(upper),
-        int(start[-1]),
-        int(highspy.MatrixFormat.kColwise),
-        int(highspy.ObjSense.kMaximize),
-        0.0,
+    pass_columns(
+        solver,
         np.concatenate([np.zeros(len(poses)), weight.astype(float)]),
-        np.zeros(len(rows)),
-        np.ones(len(rows)),
-        np.full(len(upper), -highspy.kHighsInf),
-        np.array(upper),
-        start.astype(np.int32),
-        np.concatenate(rows).astype(np.int32),
-        np.concatenate(values),
-        np.repeat([1, 0], [len(poses), len(weight)]).astype(np.int32),
+        (np.zeros(len(rows)), np.ones(len(rows))),
+        (np.full(len(upper), -highspy.kHighsInf), np.array(upper)),
+        (start, np.concatenate(rows), np.concatenate(values)),
+        np.repeat([True, False], [len(poses), len(weight)]),
+        highspy.ObjSense.kMaximize,
     )
     return limit, solver
 

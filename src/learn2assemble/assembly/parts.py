@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 MAX_PARTS = 200
 """Convex parts of one block."""
+_SAME = 1e-5
+"""Corners that differ by less along an axis lie in one plane [m]."""
 _CROSSING = 0.05
 """How deep an edge passes through a face of its own block, in extents, to be an error."""
 
@@ -110,6 +112,59 @@ def to_manifold(block: Block) -> manifold3d.Manifold:
             raise InputError(f"block {block.id!r}", solid.status().name, "a closed simple surface")
         total += solid
     return total
+
+
+def upright_boxes(points: np.ndarray, faces: Sequence[tuple[int, ...]]) -> list[np.ndarray]:
+    """A block whose faces all are along the axes as boxes without overlap; none where one is not.
+
+    Args:
+        points: float64[V, 3], its corners [m].
+        faces: of it.
+
+    Returns:
+        float64[3, 2] each: where a box begins and ends along every axis [m].
+    """
+    import shapely
+
+    areas: Any = shapely
+    planes, numbers = list[np.ndarray](), np.empty(points.shape, int)
+    for axis, values in enumerate(points.T):
+        order = np.argsort(values)
+        steps = np.concatenate([[True], np.diff(values[order]) > _SAME])
+        planes.append(values[order][steps])
+        numbers[order, axis] = np.cumsum(steps) - 1
+    x, y = np.indices([len(p) - 1 for p in planes[:2]])
+    columns = areas.box(x, y, x + 1, y + 1)
+    begins = np.zeros((*x.shape, len(planes[2])))
+    for face in faces:
+        corners = numbers[list(face)]
+        flat = (corners == corners[0]).all(0)
+        if not flat.any():
+            return []
+        if flat[2]:
+            area = areas.make_valid(areas.Polygon(corners[:, :2]))
+            sign = -1 if areas.LinearRing(corners[:, :2]).is_ccw else 1
+            begins[:, :, corners[0, 2]] += sign * areas.area(areas.intersection(columns, area))
+    return _merged(planes, np.cumsum(begins, 2)[:, :, :-1] > 0.5)
+
+
+def _merged(planes: list[np.ndarray], left: np.ndarray) -> list[np.ndarray]:
+    """Boxes that fill cells bool[X, Y, Z] between planes, as long along x as possible, then along
+    y and z."""
+    found: list[np.ndarray] = []
+    while left.any():
+        low = np.argwhere(left)[0]
+        high = low + 1
+        for axis in range(3):
+            slab, limit = [slice(*end) for end in zip(low, high, strict=True)], left.shape[axis]
+            while high[axis] < limit:
+                slab[axis] = slice(high[axis], high[axis] + 1)
+                if not left[tuple(slab)].all():
+                    break
+                high[axis] += 1
+        left[tuple(slice(*end) for end in zip(low, high, strict=True))] = False
+        found.append(np.array([[p[a], p[b]] for p, a, b in zip(planes, low, high, strict=True)]))
+    return found
 
 
 def _part(block: Block, id_: str, faces: Sequence[tuple[int, ...]]) -> Block:

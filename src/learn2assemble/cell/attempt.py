@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -13,11 +14,11 @@ from learn2assemble.cell.sight import Sight
 from learn2assemble.cell.workcell import Job
 from learn2assemble.cell.world import STOCK, Rows
 from learn2assemble.geometry.rotations import quaternion_matrix
-from learn2assemble.motion.plant import Plant, ToolCommand
+from learn2assemble.motion.plant import Motion, Plant, ToolCommand
 from learn2assemble.motion.record import RATE, Stage
 from learn2assemble.motion.recorder import StepMotion
 from learn2assemble.robot.approach import ApproachPath, approach_path, tool_path
-from learn2assemble.robot.moves import Move, Outcome, turned, turns
+from learn2assemble.robot.moves import Failure, Move, Outcome, Scene, turned, turns
 from learn2assemble.simulation.cell import DynamicCell
 from learn2assemble.simulation.execution import (
     ALONE,
@@ -28,14 +29,10 @@ from learn2assemble.simulation.execution import (
     Rig,
     Road,
     abandon,
+    straight_motion,
 )
-from learn2assemble.simulation.model import (
-    Failure,
-    Order,
-    SimulatedWorld,
-    lean_table,
-    take_order,
-)
+from learn2assemble.simulation.model import SimulatedWorld, lean_table
+from learn2assemble.simulation.objects import Order, rigid_objects, take_order
 from learn2assemble.simulation.prepare import (
     PRESS,
     STRAIGHT,
@@ -315,6 +312,25 @@ class Attempts:
             run.leaving, run.course = leave, run.course._replace(home=home)
             return
         raise why or Failure(Outcome.UNREACHABLE, "retreat", "the way out of its hold is not free")
+
+    def way_home(self, scene: Scene, joints: np.ndarray) -> Iterator[Motion]:
+        """The motions from joints to the home of the arm, where ways are planned.
+
+        Args:
+            scene: as it is believed.
+            joints: float64[n], where the arm stands [rad].
+
+        Raises:
+            Failure: where there is no free way.
+        """
+        if self.planner is None:
+            return
+        objects, poses, names = rigid_objects(scene)
+        world = self.planner.world(objects)
+        lean_table(world.plan, scene.table)
+        checker = WorldChecker(self.job.arm, world, poses, names)
+        for leg in pairwise(free_way(checker, joints, self.job.arm.home, "home")):
+            yield straight_motion(np.array(leg), self.planner.limits, "home")
 
     def _open(self, run: Execution) -> None:
         """Let go of what could be put back nowhere; it is looked for afterwards."""

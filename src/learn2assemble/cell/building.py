@@ -14,7 +14,7 @@ import numpy as np
 from learn2assemble.cell.arrange import Arranged, describe
 from learn2assemble.cell.attempt import UNCERTAIN, Ahead, Attempts, Came
 from learn2assemble.cell.belief import Estimate
-from learn2assemble.cell.journal import Recording, append_state, packed, read_states
+from learn2assemble.cell.journal import Kept, Recording, append_state, packed, read_states
 from learn2assemble.cell.sight import Sight
 from learn2assemble.cell.state import Action, Choice, Done
 from learn2assemble.cell.structure import Structure
@@ -71,13 +71,6 @@ class Prepared(NamedTuple):
     """Proven, and possible for the arm."""
     cell: KinematicCell
     """To look before the arm moves."""
-
-
-class Kept(NamedTuple):
-    """How a simulated world is kept in the file of a build; it is not looked at."""
-
-    save: Callable[[], dict[str, Any]]
-    restore: Callable[[dict[str, Any]], None]
 
 
 class Building:

@@ -7,20 +7,28 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from learn2assemble.cell.arrange import Hands, arrange
 from learn2assemble.cell.bricks import BrickStructure
-from learn2assemble.cell.building import Building, Kept, Prepared
-from learn2assemble.cell.reach import cells_of, set_up, with_other_tools
-from learn2assemble.cell.report import Witness, Worked, arm_report, carried_out, words_of
+from learn2assemble.cell.building import Building, Prepared
+from learn2assemble.cell.journal import Kept
+from learn2assemble.cell.reach import set_up, with_other_tools
+from learn2assemble.cell.report import (
+    Witness,
+    Worked,
+    arm_report,
+    carried_out,
+    none_placed,
+    words_of,
+)
 from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.taking_apart import arrange_bricks, plan_in_order
 from learn2assemble.cell.workcell import Job, Progress, StepOf, Workcell, job_of
 from learn2assemble.cell.world import OBSTACLE_DENSITY, WorkcellBlocks
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, listed
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.linear_programs import Clock
 from learn2assemble.motion.plant import Plant, PlantError
@@ -72,25 +80,13 @@ def prepare(
     progress("looking where the arm stands and where blocks wait")
     job = set_up(job, workcell.arm, workcell.tool, workcell.site, progress)
     progress("looking for an order that the arm can do")
-    cell = KinematicCell(job.arm, cells_of(job))
+    cell = KinematicCell(job.arm)
     hands = [Hands(job, cell)]
     if job.assembly.holds:
         bricks = BrickStructure(job)
         return Prepared(job, bricks, arrange_bricks(hands, bricks, progress), cell)
     structure = Structure(job)
     return Prepared(job, structure, arrange(hands, structure, progress), cell)
-
-
-class Restorable(Protocol):
-    """A plant whose world can be kept in a file."""
-
-    def state(self) -> dict[str, Any]:
-        """The world as it is."""
-        ...
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """The world as it was."""
-        ...
 
 
 def carry_out(
@@ -123,18 +119,15 @@ def carry_out(
         plan = plan_in_order(plan, order.steps)
     progress("starting the simulation" if plant is None else "looking at the cell")
     setup = setup_of(job, workcell, found.structure)
-    plant = plant or open_plant("sim://", setup)
+    plant = simulated(setup) if plant is None else plant
     seen = through_cameras(plant, setup, job.pieces, workcell.site.cameras)
-    kept = None
-    if hasattr(seen, "state") and hasattr(seen, "restore"):
-        world = cast("Restorable", seen)
-        kept = Kept(world.state, world.restore)
+    kept = Kept.of(seen)
     words, witness = words_of(job, workcell), Witness(plant)
     seen = guarded(seen, job.arm, workcell.site.safety)
     try:
         building = Building(found, workcell, seen, words, key_of(plan, workcell), kept, witness)
     except PlantError as error:
-        return _none_placed(plan, job, workcell, "incomplete", str(error))
+        return _none_placed(plan, job, workcell, str(error), "incomplete")
     reason = building.run(progress)
     took = time.perf_counter() - started
     return carried_out(plan, [Worked(building, workcell, witness)], reason, took, plant)
@@ -142,11 +135,9 @@ def carry_out(
 
 def _refused(plan: Plan, found: Prepared, workcell: Workcell, advice: str) -> Plan:
     """What comes of a plan of which the arm cannot do every step, in whatever order."""
-    assert plan.assembly is not None
     job, order = found.job, found.order
     number, why = next(iter(order.stuck.items()))
     blocks = [job.pieces[k].id for k in order.stuck]
-    listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
     gone = any(step.block == number and step.remove for step in job.steps)
     what = (
         "take away"
@@ -154,24 +145,16 @@ def _refused(plan: Plan, found: Prepared, workcell: Workcell, advice: str) -> Pl
         else "place"
     )
     which = f"{blocks[0]}: " if blocks[1:] else ""
-    reason = f"the arm cannot {what} {listed}: {which}{why}"
+    reason = f"the arm cannot {what} {listed(blocks)}: {which}{why}"
     reason = f"{reason}; {advice}" if advice else reason
-    return _none_placed(plan, job, workcell, "refused", reason)
+    return _none_placed(plan, job, workcell, reason)
 
 
-def _none_placed(plan: Plan, job: Job, workcell: Workcell, status: Status, reason: str) -> Plan:
+def _none_placed(
+    plan: Plan, job: Job, workcell: Workcell, reason: str, status: Status = "refused"
+) -> Plan:
     """What comes of a plan of which the arm has placed nothing."""
-    assert plan.assembly is not None
-    return replace(
-        plan,
-        status=status,
-        reason=reason,
-        steps=(),
-        coverage=0.0,
-        arm=arm_report(job, workcell, None),
-        blocks=replace(plan.blocks, used=0),
-        assembly=replace(plan.assembly, steps=(), not_built=()),
-    )
+    return replace(none_placed(plan, reason, status), arm=arm_report(job, workcell, None))
 
 
 def advise(plan: Plan, workcell: Workcell, joint: float, progress: Progress) -> str:
@@ -205,6 +188,11 @@ def advise(plan: Plan, workcell: Workcell, joint: float, progress: Progress) -> 
 def _told_of(tool: str, progress: Progress) -> Progress:
     """What is told while another tool is tried: never more than how far that has come."""
     return lambda text: progress(Detail(f"trying the tool {tool}: {text}"))
+
+
+def simulated(setup: Setup) -> Any:
+    """The simulated cell that is described, with all its arms."""
+    return open_plant("sim://", setup)
 
 
 def setup_of(job: Job, workcell: Workcell, structure: Structure | None = None) -> Setup:

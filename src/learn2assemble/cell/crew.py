@@ -22,7 +22,6 @@ from learn2assemble.assembly.contacts import Contacts, find_contacts
 from learn2assemble.assembly.hands import Hand
 from learn2assemble.cell.arrange import ends_of
 from learn2assemble.cell.pieces import Piece, pieces_of, with_rests
-from learn2assemble.cell.reach import cells_of
 from learn2assemble.cell.structure import ways_in
 from learn2assemble.cell.traffic import APART as KEPT
 from learn2assemble.cell.workcell import DOWN, Direction, Job, StepOf
@@ -136,7 +135,7 @@ class ArmCrew:
             pieces = with_rests(pieces_of(whole), job.arm, member.rests)
             job = replace(job, pieces=pieces, assembly=whole)
             self.worlds.append(WorkcellBlocks(job))
-            self.cells.append(KinematicCell(job.arm, cells_of(job)))
+            self.cells.append(KinematicCell(job.arm))
         self._begin = [(list(w.state), w.pose.copy()) for w in self.worlds]
         self._contacts: Contacts = find_contacts(whole)
         self._leans = bool(leaning(self._contacts).any())

@@ -23,15 +23,15 @@ from learn2assemble.assembly.contacts import Contacts, find_contacts
 from learn2assemble.assembly.hands import Hand
 from learn2assemble.cell.arrange import Arranged
 from learn2assemble.cell.building import PAUSED, Building, Prepared
+from learn2assemble.cell.carry_out import simulated
 from learn2assemble.cell.crew import FINE, ArmCrew, Member, Reached
 from learn2assemble.cell.fitting import neighbours
 from learn2assemble.cell.pair import Pair, gather, jobs_of, workcell_of
 from learn2assemble.cell.pressing import TURNS, PressingHand, contact_force
-from learn2assemble.cell.reach import cells_of
 from learn2assemble.cell.state import Action
 from learn2assemble.cell.structure import LEANING, Structure
-from learn2assemble.cell.telling import SharedJournal, route_of
-from learn2assemble.cell.together import Cell, Together, built_by, key_of_two, simulated
+from learn2assemble.cell.telling import SharedJournal, key_of_two, route_of
+from learn2assemble.cell.together import Cell, Together, built_by
 from learn2assemble.cell.workcell import LEANS, STANDS, Progress, StepOf, Workcell
 from learn2assemble.cell.world import STANDING, Rows, direction_of, rows_of, supply_of
 from learn2assemble.errors import InputError
@@ -219,9 +219,7 @@ def gather_in_turn(
         if told.by_hand
     )
     order = Arranged(jobs[0].steps, {}, hands)
-    first, second = (
-        Prepared(job, structure, order, KinematicCell(job.arm, cells_of(job))) for job in jobs
-    )
+    first, second = (Prepared(job, structure, order, KinematicCell(job.arm)) for job in jobs)
     one, other = (workcell_of(workcell, job) for job in jobs)
     return Pair((first, second), (one, other), (members[0].name, members[1].name))
 

@@ -11,9 +11,9 @@ import base64
 import dataclasses
 import json
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -34,6 +34,19 @@ if TYPE_CHECKING:
 FORMAT, VERSION = "learn2assemble-build", 5
 SUM = "checksum"
 """Key of every state: the CRC-32 of the rest, so that damage is seen whatever it hits."""
+
+
+class Kept(NamedTuple):
+    """How a simulated world is kept in the file of a build; it is not looked at."""
+
+    save: Callable[[], dict[str, Any]]
+    restore: Callable[[dict[str, Any]], None]
+
+    @classmethod
+    def of(cls, plant: Any) -> Kept | None:
+        """That of a plant; None where there is none."""
+        save, restore = getattr(plant, "state", None), getattr(plant, "restore", None)
+        return None if save is None or restore is None else cls(save, restore)
 
 
 def read_states(path: Path, key: str) -> list[dict[str, Any]]:

@@ -25,13 +25,14 @@ from learn2assemble.cell.bricks import BrickStructure
 from learn2assemble.cell.building import Prepared
 from learn2assemble.cell.crew import Member
 from learn2assemble.cell.pieces import middle_of, with_rests
-from learn2assemble.cell.reach import cells_of, with_home, with_other_tools
+from learn2assemble.cell.reach import with_home, with_other_tools
+from learn2assemble.cell.report import none_placed
 from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.taking_apart import arrange_bricks, plan_in_order
 from learn2assemble.cell.team import set_up_team, site_arm_of, told_of
 from learn2assemble.cell.workcell import ROOMS, Job, Progress, StepOf, Workcell, job_of
 from learn2assemble.cell.world import RETURNED, STANDING, WorkcellBlocks
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, listed
 from learn2assemble.motion.plant import Plant
 from learn2assemble.motion.safety import guarded
 from learn2assemble.planning.brick_plan import plan_for_arm, with_hands
@@ -81,7 +82,7 @@ def gather(
             come.
     """
     jobs = jobs_of(plan, members, workcell, joint)
-    kinematic = [KinematicCell(job.arm, cells_of(job)) for job in jobs]
+    kinematic = [KinematicCell(job.arm) for job in jobs]
     structure: Structure | None = None
     if jobs[0].standing:
         structure = Structure(jobs[0])
@@ -249,19 +250,10 @@ def bricks_by_team(
         return plan_in_order(plan, order.steps), order.steps
     number, why = next(iter(order.stuck.items()))
     blocks = [jobs[0].pieces[k].id for k in order.stuck]
-    listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
     reason = f"{jobs[0].pieces[number].id}: {why}"
     advice = _with_another_tool(plan, members, workcell, progress) or with_hands(assembly)
-    refused = replace(
-        plan,
-        status="refused",
-        reason=f"neither arm can place {listed}: {reason}" + (f"; {advice}" if advice else ""),
-        steps=(),
-        coverage=0.0,
-        blocks=replace(plan.blocks, used=0),
-        assembly=replace(plan.assembly, steps=(), not_built=()),
-    )
-    return refused, ()
+    reason = f"neither arm can place {listed(blocks)}: {reason}"
+    return none_placed(plan, f"{reason}; {advice}" if advice else reason), ()
 
 
 def _arranged(
@@ -269,7 +261,7 @@ def _arranged(
 ) -> tuple[tuple[Job, Job], Arranged]:
     """What arms have to do, and the order in which they press bricks together."""
     jobs = jobs_of(plan, members, workcell, 0.0)
-    hands = [Hands(job, KinematicCell(job.arm, cells_of(job))) for job in jobs]
+    hands = [Hands(job, KinematicCell(job.arm)) for job in jobs]
     return jobs, arrange_bricks(hands, BrickStructure(jobs[0]), progress)
 
 

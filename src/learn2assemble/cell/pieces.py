@@ -18,7 +18,7 @@ import numpy as np
 
 from learn2assemble.assembly.appearance import millimetres
 from learn2assemble.assembly.blocks import Assembly, Block
-from learn2assemble.assembly.parts import convex_parts
+from learn2assemble.assembly.parts import convex_parts, upright_boxes
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.hulls import (
     hull_of,
@@ -34,6 +34,7 @@ from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.bodies import Part, Shape, body_of
 from learn2assemble.robot.grasps import UPRIGHT as STRAIGHT
 from learn2assemble.robot.holding import ways_to_turn
+from learn2assemble.values import three
 
 AWAY = 90.0
 """No structure that an arm builds is farther from the origin [m]."""
@@ -44,8 +45,6 @@ GRAIN = 2e-6
 """Corners that differ by less are one [m]."""
 _EXACT = 1e-5
 """A turn that is off one along the axes by less is that one [rad]."""
-_FLAT = 1e-5
-"""Corners that differ by less along an axis lie in one plane [m]."""
 _DOWN = 1 - 1e-9
 """Of the normal of a face that points down."""
 ON_TABLE = 1e-3
@@ -332,71 +331,17 @@ def _new_shape(block: Block) -> tuple[_Known, np.ndarray]:
     turn = _frame(block)
     corners = np.array(block.vertices) @ turn
     middle = (corners.min(0) + corners.max(0)) / 2
-    parts = _boxes(corners - middle, block.faces)
+    parts = list[Part]()
+    for ends in upright_boxes(corners - middle, block.faces):
+        centre, half = ends.mean(1).round(9) + 0.0, (np.diff(ends)[:, 0] / 2).round(9)
+        parts.append(Part(three(centre.tolist()), three(half.tolist())))
     for part in () if parts else [block] if block.is_convex else convex_parts(block):
         points = np.array(part.vertices) @ turn - middle
         low, high = points.min(0), points.max(0)
         centre, half = ((low + high) / 2).round(9) + 0.0, ((high - low) / 2).round(9)
-        parts.append(Part(_three(centre), _three(half), hull_of(points - centre)))
+        parts.append(Part(three(centre.tolist()), three(half.tolist()), hull_of(points - centre)))
     parts.sort(key=lambda part: part.centre)
     return _Known(block.kind, tuple(parts), corners - middle, block.volume), turn
-
-
-def _boxes(points: np.ndarray, faces: Sequence[tuple[int, ...]]) -> list[Part]:
-    """A block whose faces all are along the axes as boxes without overlap; none where one is not.
-
-    Args:
-        points: float64[V, 3], its corners [m].
-        faces: of it.
-    """
-    import shapely
-
-    areas: Any = shapely
-    planes, numbers = list[np.ndarray](), np.empty(points.shape, int)
-    for axis, values in enumerate(points.T):
-        order = np.argsort(values)
-        steps = np.concatenate([[True], np.diff(values[order]) > _FLAT])
-        planes.append(values[order][steps])
-        numbers[order, axis] = np.cumsum(steps) - 1
-    x, y = np.indices([len(p) - 1 for p in planes[:2]])
-    columns = areas.box(x, y, x + 1, y + 1)
-    begins = np.zeros((*x.shape, len(planes[2])))
-    for face in faces:
-        corners = numbers[list(face)]
-        flat = (corners == corners[0]).all(0)
-        if not flat.any():
-            return []
-        if flat[2]:
-            area = areas.make_valid(areas.Polygon(corners[:, :2]))
-            sign = -1 if areas.LinearRing(corners[:, :2]).is_ccw else 1
-            begins[:, :, corners[0, 2]] += sign * areas.area(areas.intersection(columns, area))
-    return _merged(planes, np.cumsum(begins, 2)[:, :, :-1] > 0.5)
-
-
-def _merged(planes: list[np.ndarray], left: np.ndarray) -> list[Part]:
-    """Boxes that fill cells bool[X, Y, Z] between planes, as long along x as possible, then along
-    y and z."""
-    found: list[Part] = []
-    while left.any():
-        low = np.argwhere(left)[0]
-        high = low + 1
-        for axis in range(3):
-            slab, limit = [slice(*end) for end in zip(low, high, strict=True)], left.shape[axis]
-            while high[axis] < limit:
-                slab[axis] = slice(high[axis], high[axis] + 1)
-                if not left[tuple(slab)].all():
-                    break
-                high[axis] += 1
-        left[tuple(slice(*end) for end in zip(low, high, strict=True))] = False
-        ends = np.array([[p[a], p[b]] for p, a, b in zip(planes, low, high, strict=True)])
-        centre, half = ends.mean(1).round(9) + 0.0, (np.diff(ends)[:, 0] / 2).round(9)
-        found.append(Part(_three(centre), _three(half)))
-    return found
-
-
-def _three(vector: np.ndarray) -> tuple[float, float, float]:
-    x, y, z = vector.tolist()
-    return x, y, z
 
 
 def _frame(block: Block) -> np.ndarray:
@@ -447,7 +392,7 @@ def _squared(points: np.ndarray, up: np.ndarray, along: np.ndarray) -> np.ndarra
 def ways_to_rest(piece: Piece) -> list[np.ndarray]:
     """Rotations in which a block can wait, as in the structure first if it rests so, then the most
     stable ones."""
-    return [turn for turn, _ in _resting(piece.shape, _three(piece.turn[2].round(6)))]
+    return [turn for turn, _ in _resting(piece.shape, three(piece.turn[2].round(6).tolist()))]
 
 
 @lru_cache(maxsize=4096)
@@ -489,7 +434,7 @@ def with_rests(
     for piece in pieces:
         rest = rests.get(piece.id)
         if rest is None:
-            key = piece.shape, _three(piece.turn[2].round(6))
+            key = piece.shape, three(piece.turn[2].round(6).tolist())
             if key not in known:
                 known[key] = _best_rest(piece, arm)
             rest = known[key]

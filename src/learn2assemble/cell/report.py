@@ -22,7 +22,7 @@ from learn2assemble.cell.world import STANDING
 from learn2assemble.geometry.hulls import separation
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.record import BuildRecord
-from learn2assemble.planning.plan import LARGEST, Plan, Step
+from learn2assemble.planning.plan import LARGEST, Plan, Status, Step
 from learn2assemble.planning.reports import ArmFailure, ArmReport
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Shape, Solid, solids
@@ -213,6 +213,16 @@ class Worked(NamedTuple):
     witness: Witness
     name: str | None = None
     """As steps call it; None: there is no other one."""
+
+
+def none_placed(plan: Plan, reason: str, status: Status = "refused") -> Plan:
+    """What comes of a plan of which nothing is placed."""
+    assert plan.assembly is not None
+    blocks = replace(plan.blocks, used=0)
+    assembly = replace(plan.assembly, steps=(), not_built=())
+    return replace(
+        plan, status=status, reason=reason, steps=(), coverage=0.0, blocks=blocks, assembly=assembly
+    )
 
 
 def carried_out(

@@ -28,7 +28,7 @@ from learn2assemble.cell.pieces import (
     waiting,
 )
 from learn2assemble.cell.site_arms import SiteArm, parse_arms
-from learn2assemble.errors import InputError, check_name
+from learn2assemble.errors import InputError, check_name, listed
 from learn2assemble.files import read_text
 from learn2assemble.motion.safety import SECTION as SAFETY
 from learn2assemble.motion.safety import Safety, parse_safety
@@ -58,21 +58,8 @@ if TYPE_CHECKING:
 MAX_PLACES, MAX_ENTRIES = 400, 64
 MOST_LEAN = 0.2
 """A base leans by no more than this sine."""
-_KEYS = (
-    "format",
-    "version",
-    "units",
-    "base",
-    "arms",
-    "table",
-    "obstacles",
-    "magazines",
-    "pallets",
-    "positions",
-    "cameras",
-    SECTION,
-    SAFETY,
-)
+_LISTS = ("obstacles", "magazines", "pallets", "positions", "cameras")
+_KEYS = ("format", "version", "units", "base", "arms", "table", *_LISTS, SECTION, SAFETY)
 TABLE = (1.5, 1.0)
 """Size along x and y of a table of which nothing is said [m]."""
 
@@ -471,9 +458,8 @@ def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[
         ground = shapely.union_all([table, *(p.face() for p in pieces if p.sunk)]).buffer(ON_TABLE)
         off = [p.id for p in low if not ground.contains(p.foot())]
         if off:
-            names = ", ".join(off[:3]) + (f" and {len(off) - 3} more" if off[3:] else "")
             expected = f"all that stands on it inside, {width:g} x {depth:g} m about the origin"
-            raise InputError(f"{site.source}: table", f"{names} not on it", expected)
+            raise InputError(f"{site.source}: table", f"{listed(off)} not on it", expected)
     blocked = [(o.name, outline(o)) for o in site.obstacles]
     for k, (what, area) in enumerate(blocked):
         if area.intersection(structure).area > 1e-9:

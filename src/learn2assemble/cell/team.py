@@ -18,9 +18,9 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep
 from learn2assemble.assembly.contacts import GROUND, Contacts, find_contacts
 from learn2assemble.cell.crew import ArmCrew, Member, leaning
+from learn2assemble.cell.magazines import APART, supplied
 from learn2assemble.cell.pieces import Piece, middle_of, pieces_of, ways_to_rest, with_rests
 from learn2assemble.cell.reach import (
-    APART,
     DISTANCES,
     Base,
     Reach,
@@ -33,13 +33,12 @@ from learn2assemble.cell.reach import (
     place_arm,
     reach_from,
     resting,
-    supplied,
     way_down,
 )
 from learn2assemble.cell.site import Obstacle, Site, Source, given_sources, outline
 from learn2assemble.cell.site_arms import SiteArm, share_magazines
 from learn2assemble.cell.workcell import Job, Progress, StepOf, check_ground
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, listed
 from learn2assemble.planning.crew import NOBODY
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
@@ -236,8 +235,7 @@ def set_up_team(
     level = len(arms) > 1 and is_narrow(joints)
     found = team_reach(arms, own, assembly.joint.studs, level)
     if out := found.out:
-        names = ", ".join(own[k].id for k in out[:3])
-        names += f" and {len(out) - 3} more" if out[3:] else ""
+        names = listed([own[k].id for k in out])
         each = zip(found.arms, found.reaches, strict=True)
         where = ", ".join(f"{one.name} at {reach.words}" for one, reach in each)
         got = f"{len(out)} of {len(own)} blocks out of it: {names}"

@@ -19,16 +19,20 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from learn2assemble.cell.building import Building
+from learn2assemble.cell.carry_out import key_of
 from learn2assemble.cell.journal import append_state, last_joints, packed, read_states
+from learn2assemble.cell.pair import Pair
 from learn2assemble.cell.state import Done
 from learn2assemble.cell.traffic import APART, Leg, Route
+from learn2assemble.cell.workcell import Workcell
 from learn2assemble.cell.world import STANDING, STOCK
 from learn2assemble.motion.plant import Plant, Readings
+from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.capsules import WIDEST, capsules_of, in_hand, solid_capsules
 from learn2assemble.robot.sweeps import clear, still, sweep
 from learn2assemble.simulation.execution import Execution
-from learn2assemble.simulation.model import Order, part_of
+from learn2assemble.simulation.objects import Order, part_of
 
 
 class Turns(Protocol):
@@ -151,8 +155,7 @@ def _loads(order: Order) -> frozenset[str]:
     """See :attr:`Route.loads`."""
     own = set(order.scene.members(order.move.cell).tolist())
     joints = () if order.scene.studs is None else order.scene.studs.joints
-    outer = [one for one in joints if (one.upper in own) != (one.lower in own)]
-    return frozenset("lift" if one.home else "place" for one in outer)
+    return frozenset("lift" if one.home else "place" for one in joints if one.leaves(own))
 
 
 # ---------------------------------------------------------------- what a file is told
@@ -167,6 +170,13 @@ class Turn(NamedTuple):
     """[s of the plant's clock]"""
     end: float
     """[s of the plant's clock]"""
+
+
+def key_of_two(plan: Plan, crew: Pair, workcell: Workcell) -> str:
+    """As :func:`~.carry_out.key_of`, of two arms: with who they are and where they stand."""
+    arms = (one.job.arm for one in crew.found)
+    told = [(one.name, one.tool_name, one.base_position.tolist(), one.base_yaw) for one in arms]
+    return f"{key_of(plan, workcell)} {(crew.names, told)!r}"
 
 
 class SharedJournal(NamedTuple):

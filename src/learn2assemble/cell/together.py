@@ -7,7 +7,6 @@ moves is there yet, and on whose way the arms keep their distance (:mod:`.traffi
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -17,7 +16,7 @@ import numpy as np
 
 from learn2assemble.cell.arrange import put_beside, steps_before
 from learn2assemble.cell.building import PAUSED, Building, Prepared
-from learn2assemble.cell.carry_out import key_of, setup_of
+from learn2assemble.cell.carry_out import setup_of
 from learn2assemble.cell.pair import Pair
 from learn2assemble.cell.report import Attempted, Witness, Worked, carried_out, words_of
 from learn2assemble.cell.state import Action
@@ -38,12 +37,11 @@ from learn2assemble.cell.world import STANDING, STOCK, rows_of
 from learn2assemble.motion.plant import Plant, PlantError, standing
 from learn2assemble.motion.record import RATE, BuildRecord
 from learn2assemble.motion.recorder import StepMotion
-from learn2assemble.motion.setup import Setup, open_plant
+from learn2assemble.motion.setup import Setup
 from learn2assemble.planning.plan import Plan
 from learn2assemble.progress import Detail
-from learn2assemble.simulation.execution import EMPTY, Execution, straight_motion
-from learn2assemble.simulation.model import Failure, lean_table, rigid_objects
-from learn2assemble.simulation.ways import WorldChecker, free_way
+from learn2assemble.robot.moves import Failure
+from learn2assemble.simulation.execution import EMPTY, Execution
 
 LOOK_AGAIN = 0.1
 """An arm that has nothing to do looks again after this time [s]."""
@@ -51,8 +49,6 @@ AT_HOME = 1e-3
 """An arm that is so near to its home is there [rad]."""
 PATIENCE, SOON = 600, 20
 """So often, before it counts as stuck while the other arm is at work, and where that has ended."""
-
-
 Cell = TypeVar("Cell", bound=SharedCell)
 
 
@@ -66,27 +62,9 @@ def built_by(
     """
     reason = both.run(progress)
     took = time.perf_counter() - started
-    turns = sorted(both.turns, key=lambda turn: turn.end)
-    tried = [Attempted(turn.arm, turn.done) for turn in turns]
+    tried = [Attempted(one.arm, one.done) for one in sorted(both.turns, key=lambda one: one.end)]
     built = carried_out(plan, both.worked, reason, took, both.plant, tried)
     return replace(built, robot_s=round(both.seconds, 2)), reason
-
-
-def simulated(setup: Setup) -> Any:
-    """The simulated cell that is described, with all its arms."""
-    return open_plant("sim://", setup)
-
-
-def key_of_two(plan: Plan, crew: Pair, workcell: Workcell) -> str:
-    """As :func:`~.carry_out.key_of`, of two arms."""
-    return f"{key_of(plan, workcell)} {_who(crew)}"
-
-
-def _who(crew: Pair) -> str:
-    """Arms and where they stand, in words that are the same for the same ones."""
-    arms = (one.job.arm for one in crew.found)
-    told = [(one.name, one.tool_name, one.base_position.tolist(), one.base_yaw) for one in arms]
-    return repr((crew.names, told))
 
 
 def _other(before: Sequence[int], now: Sequence[int]) -> set[int]:
@@ -437,19 +415,11 @@ class Together(Generic[Cell]):
         lane.asked, arm = False, building.job.arm
         self._changed(who)
         waits = next((s.block for s in building.known.order if not building.known.satisfied(s)), 0)
-        attempts, scene = (
-            building.attempts,
-            rows_of(building.world, building.world.pose, waits).scene,
-        )
-        if attempts.planner is None or np.abs(building.joints - arm.home).max() < AT_HOME:
+        scene = rows_of(building.world, building.world.pose, waits).scene
+        if np.abs(building.joints - arm.home).max() < AT_HOME:
             return
-        objects, poses, names = rigid_objects(scene)
-        world = attempts.planner.world(objects)
-        lean_table(world.plan, scene.table)
-        checker = WorldChecker(arm, world, poses, names)
         try:
-            for leg in itertools.pairwise(free_way(checker, building.joints, arm.home, "home")):
-                told = straight_motion(np.array(leg), attempts.planner.limits, "home")
+            for told in building.attempts.way_home(scene, building.joints):
                 stood = self._stood(who, building.plant.sense().time)
                 report = building.plant.execute(told, (), (EMPTY,))
                 if report.played is not None:

@@ -25,23 +25,23 @@ from typing import NamedTuple
 import numpy as np
 
 from learn2assemble.motion.plant import (
+    Commands,
     Guard,
+    Guards,
     Motion,
     Plant,
     Played,
     Readings,
     Report,
     Stop,
-    ToolCommand,
     WrappedPlant,
     standing,
 )
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.capsules import Capsules, capsules_of
-from learn2assemble.robot.moves import Outcome
+from learn2assemble.robot.moves import Failure, Outcome
 from learn2assemble.robot.sweeps import Sweep, clear, sweep
 from learn2assemble.simulation.execution import PAUSE, Road
-from learn2assemble.simulation.model import Failure
 
 APART, PLANNED = 0.015, 0.02
 """So far the arms keep from each other as they are told to move, which they stray from by 2.4 mm
@@ -501,12 +501,7 @@ class ArmInTraffic(WrappedPlant, Road):
         names = other.left if other.route is None else (other.route.block, *other.route.along)
         return found._replace(blocks=tuple(b for b in found.blocks if b.block not in names))
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`; the arm stands until it may move.
 
         Raises:

@@ -22,6 +22,7 @@ from learn2assemble.robot.bodies import Shape
 from learn2assemble.robot.grasps import WAY, facing
 from learn2assemble.robot.holding import Way, attitude, ways_to_turn
 from learn2assemble.robot.moves import ARM_THERE, Move, Scene
+from learn2assemble.values import three
 
 if TYPE_CHECKING:
     from learn2assemble.cell.pieces import Piece
@@ -272,8 +273,7 @@ def _aside(world: WorkcellBlocks, count: int) -> np.ndarray | None:
 
 
 def direction_of(way: np.ndarray) -> Direction:
-    x, y, z = (way.round(9) + 0.0).tolist()
-    return x, y, z
+    return three((way.round(9) + 0.0).tolist())
 
 
 def moves(

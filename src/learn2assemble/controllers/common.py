@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from learn2assemble.errors import InputError
 from learn2assemble.motion.plant import (
+    Commands,
     Guard,
+    Guards,
     Motion,
     PlantError,
     Readings,
     Stop,
-    ToolCommand,
     ToolReading,
+    between,
 )
 from learn2assemble.motion.setup import UNWANTED
 
@@ -25,6 +28,10 @@ BACK = 1e-6
 JUMP, FASTEST = 10.0, 100.0
 """It has jumped where it went on by more than this [s], and so many times faster than ours; a
 simulated controller may be faster than time."""
+CLOSE = 5e-5
+"""A motion with fewer samples is nowhere farther from the one it was [rad]."""
+LONGEST = 0.25
+"""Between two of its samples [s]."""
 
 
 class Address(NamedTuple):
@@ -54,15 +61,50 @@ class Address(NamedTuple):
         return cls(host, int(number) if mark else port)
 
 
-def marks_of(
-    motion: Motion, commands: Sequence[ToolCommand], guards: Sequence[Guard]
-) -> list[float]:
+def marks_of(motion: Motion, commands: Commands, guards: Guards) -> list[float]:
     """The times of a motion at which something changes [s]."""
     told = [one.at for one in commands] + [one.begin for one in guards]
     return sorted({min(max(at, 0.0), motion.seconds) for at in told})
 
 
-def felt(guards: Sequence[Guard], feel: float) -> list[Guard]:
+def thinned(motion: Motion, marks: Sequence[float] = ()) -> Motion:
+    """The same motion with few samples.
+
+    Args:
+        marks: times at which there is a sample in any case [s].
+
+    Returns:
+        samples no farther apart than :data:`LONGEST`, nowhere farther than :data:`CLOSE` from the
+        motion at its own samples.
+    """
+    if len(motion.time) < 2:
+        return motion
+    time, q, v = motion.time, motion.joints, motion.velocity
+    extra = np.array([at for at in sorted({*marks}) if np.abs(time - at).min() > 1e-6])
+    extra = extra[(extra > time[0]) & (extra < time[-1])] if len(extra) else extra
+    if len(extra):
+        there, speed, _ = between(motion, extra)
+        order = np.argsort(np.concatenate([time, extra]), kind="stable")
+        time = np.concatenate([time, extra])[order]
+        q, v = np.concatenate([q, there])[order], np.concatenate([v, speed])[order]
+    keep = {0, len(time) - 1, *(int(np.abs(time - at).argmin()) for at in marks)}
+    fixed = sorted(keep)
+    parts = [*pairwise(fixed)]
+    while parts:
+        a, b = parts.pop()
+        if b - a < 2:
+            continue
+        part = Motion("", time[[a, b]], q[[a, b]], v[[a, b]])
+        off = np.abs(between(part, time[a + 1 : b])[0] - q[a + 1 : b]).max()
+        if off > CLOSE or time[b] - time[a] > LONGEST:
+            middle = (a + b) // 2
+            keep.add(middle)
+            parts += [(a, middle), (middle, b)]
+    rows = sorted(keep)
+    return Motion(motion.stage, time[rows], q[rows], v[rows])
+
+
+def felt(guards: Guards, feel: float) -> list[Guard]:
     """Guards in the order of their times, with forces that a robot can tell from noise; it does not
     tell those on the arm from those on what it holds.
 
@@ -163,7 +205,7 @@ class WatchedHere:
         guards: of the motion, as :func:`felt` gives them.
     """
 
-    def __init__(self, guards: Sequence[Guard]) -> None:
+    def __init__(self, guards: Guards) -> None:
         self._left, self._now = list(guards), Guard()
         self._gone = -1.0
 

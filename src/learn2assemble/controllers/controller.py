@@ -17,13 +17,14 @@ from learn2assemble.controllers.common import (
     lost,
     marks_of,
     not_begun,
+    thinned,
 )
 from learn2assemble.geometry.rotations import quaternion_matrix
-from learn2assemble.motion.cubics import thinned
 from learn2assemble.motion.driver import Driver, driver_of
 from learn2assemble.motion.plant import (
     BlockReading,
-    Guard,
+    Commands,
+    Guards,
     Motion,
     PlantError,
     Readings,
@@ -34,6 +35,7 @@ from learn2assemble.motion.plant import (
     ToolReading,
 )
 from learn2assemble.motion.setup import PlantClock, Setup, Surroundings
+from learn2assemble.values import three
 
 if TYPE_CHECKING:
     from learn2assemble.motion.settings import ProgramSettings
@@ -127,8 +129,7 @@ class Controller(ABC):
 
     def _force(self, force: Sequence[float]) -> tuple[float, float, float]:
         """A force [N] of the frame of the base in that of the world."""
-        x, y, z = (self._base @ np.asarray(force, float)).tolist()
-        return x, y, z
+        return three((self._base @ np.asarray(force, float)).tolist())
 
     def sense(self) -> Readings:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
@@ -205,15 +206,10 @@ class WatchingController(Controller):
         """How the motion that was sent last ended; None: it goes on."""
 
     @abstractmethod
-    def _tell(self, commands: Sequence[ToolCommand]) -> None:
+    def _tell(self, commands: Commands) -> None:
         """Tell the tool."""
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         begun, odd = self._begin(motion)
         if odd is not None:
@@ -238,7 +234,7 @@ class WatchingController(Controller):
         return self._report(stop, motion, past, begun, why)
 
     def _watch(
-        self, motion: Motion, left: list[ToolCommand], guards: Sequence[Guard], moves: bool
+        self, motion: Motion, left: list[ToolCommand], guards: Guards, moves: bool
     ) -> tuple[Stop, str, float]:
         """Tell the tool what is due, until the motion has ended or something ends it.
 

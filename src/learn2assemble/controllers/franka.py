@@ -9,7 +9,6 @@ time on the machine that runs this.
 # pyright: reportMissingImports=false
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,13 +16,7 @@ import numpy as np
 from learn2assemble.controllers.common import Address, lost
 from learn2assemble.controllers.controller import ControllerState, WatchingController
 from learn2assemble.errors import InputError, extra
-from learn2assemble.motion.plant import (
-    Motion,
-    PlantError,
-    Stop,
-    ToolCommand,
-    ToolReading,
-)
+from learn2assemble.motion.plant import Commands, Motion, PlantError, Stop, ToolReading
 from learn2assemble.motion.setup import Setup
 
 EPSILON = 0.005
@@ -106,7 +99,7 @@ class FrankaPlant(WatchingController):
             points.append(lib.JointWaypoint(state, minimum_time=least))
         return lib.JointWaypointMotion(points)
 
-    def _tell(self, commands: Sequence[ToolCommand]) -> None:
+    def _tell(self, commands: Commands) -> None:
         """Tell the gripper, and the robot what it carries."""
         for one in commands:
             speed = one.speed or self.arm.gripper.speed

@@ -11,7 +11,6 @@ import contextlib
 import logging
 import re
 import threading
-from collections.abc import Sequence
 from functools import partial
 from typing import Any, cast
 
@@ -26,7 +25,7 @@ from learn2assemble.controllers.controller import (
     WatchingController,
 )
 from learn2assemble.errors import extra
-from learn2assemble.motion.plant import Motion, PlantError, Stop, ToolCommand, ToolReading
+from learn2assemble.motion.plant import Commands, Motion, PlantError, Stop, ToolReading
 from learn2assemble.motion.setup import Setup
 
 PORT = 9090
@@ -205,7 +204,7 @@ class RosPlant(WatchingController):
             self._lib.Goal(goal), result.take, result.begin, result.take
         )
 
-    def _tell(self, commands: Sequence[ToolCommand]) -> None:
+    def _tell(self, commands: Commands) -> None:
         """Tell the tool."""
         for one in commands:
             if one.vacuum is not None:

@@ -12,7 +12,6 @@ import contextlib
 import os
 import socket
 import struct
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,7 @@ from learn2assemble.controllers.common import (
     lost,
     marks_of,
     refused,
+    thinned,
 )
 from learn2assemble.controllers.controller import (
     CONNECT,
@@ -42,14 +42,13 @@ from learn2assemble.controllers.ur_motion import (
     stop_script,
 )
 from learn2assemble.errors import InputError, extra
-from learn2assemble.motion.cubics import thinned
 from learn2assemble.motion.plant import (
-    Guard,
+    Commands,
+    Guards,
     Motion,
     PlantError,
     Report,
     Stop,
-    ToolCommand,
     ToolReading,
 )
 from learn2assemble.motion.setup import Setup
@@ -186,12 +185,7 @@ class UrPlant(Controller):
 
     # ------------------------------------------------------------ what is carried out
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         _, odd = self._begin(motion)
         if odd is not None:

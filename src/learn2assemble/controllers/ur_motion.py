@@ -8,15 +8,14 @@ it. What came of it stands in output registers, which the state carries.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from enum import IntEnum
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from learn2assemble.motion.driver import Driver
-from learn2assemble.motion.plant import Guard, Motion, ToolCommand
+from learn2assemble.motion.driver import Driver, pose_vector
+from learn2assemble.motion.plant import Commands, Guard, Guards, Motion, ToolCommand
 from learn2assemble.motion.settings import ProgramSettings
 
 SERIAL, OUTCOME, PROGRESS, BEAT = 36, 37, 38, 42
@@ -46,8 +45,8 @@ class ScriptOutcome(IntEnum):
 
 def motion_script(
     motion: Motion,
-    commands: Sequence[ToolCommand],
-    guards: Sequence[Guard],
+    commands: Commands,
+    guards: Guards,
     driver: Driver,
     settings: ProgramSettings,
     serial: int,
@@ -79,7 +78,7 @@ def motion_script(
             wait=WAIT,
             debounce=DEBOUNCE,
             held=_held(settings),
-            tcp=_list(_pose(driver.tcp)),
+            tcp=_list(pose_vector(driver.tcp)),
             contact=ScriptOutcome.CONTACT.value,
             taken=ScriptOutcome.HELD.value,
             force=ScriptOutcome.FORCE.value,
@@ -247,14 +246,6 @@ def _command(command: ToolCommand, driver: Driver, settings: ProgramSettings) ->
         centre = (driver.tool_mass * driver.tool_centre + command.load * driver.tcp[:3]) / mass
         out.append(f"set_payload({mass:.4f}, [{_list(centre)}])")
     return "\n".join(out)
-
-
-def _pose(pose: np.ndarray) -> np.ndarray:
-    """x, y, z and a rotation vector float64[6], of a position and a quaternion float64[7]."""
-    from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs]
-
-    turn = Rotation.from_quat(pose[3:], scalar_first=True).as_rotvec()
-    return np.concatenate([pose[:3], turn])
 
 
 def _list(values: Any) -> str:

@@ -11,10 +11,15 @@ from learn2assemble.kernels import kernel
 from learn2assemble.tasks.graph.features import Graph, empty_graph, graph_row, node_offset
 from learn2assemble.tasks.graph.placements import distinct_placements
 from learn2assemble.tasks.physics.support import STABLE, UNDECIDED, classify_cube
-from learn2assemble.tasks.simulator import Simulator, WorldTransition, advance, step_arrays
+from learn2assemble.tasks.simulator import (
+    Rules,
+    Simulator,
+    StepArrays,
+    WorldTransition,
+    advance,
+    step_arrays,
+)
 from learn2assemble.tasks.task import Task
-from learn2assemble.tasks.world.blocks import ActionSpec
-from learn2assemble.tasks.world.coverage import DepthFilter
 from learn2assemble.tasks.world.rules import target_cell
 from learn2assemble.tasks.world.state import State
 
@@ -175,13 +180,10 @@ def _see(
 def _step(
     state: State,
     flat: np.ndarray,
-    rules: tuple[ActionSpec, bool, bool, np.ndarray, DepthFilter, int, float],
+    rules: Rules,
     actions: np.ndarray,
     clipped: np.ndarray,
-    reward: np.ndarray,
-    flags: np.ndarray,
-    verdict: np.ndarray,
-    scratch: np.ndarray,
+    arrays: StepArrays,
     rotations: int,
     surveys: bool,
     nodes: np.ndarray,
@@ -206,22 +208,8 @@ def _step(
         actions,
         clipped,
     )
-    spec, cubes, decide, frames, depths, kind, threshold = rules
-    left = advance(
-        state,
-        actions,
-        spec,
-        cubes,
-        decide,
-        frames,
-        depths,
-        kind,
-        threshold,
-        reward,
-        flags,
-        verdict,
-        scratch,
-    )
+    spec, _, _, frames, _, _, _ = rules
+    left = advance(state, actions, rules, arrays)
     undecided = 0
     if left == 0:
         undecided = _see(
@@ -388,7 +376,7 @@ class FlatActions:
             simulator.rules,
             actions,
             clipped,
-            *arrays,
+            arrays,
             self.task.rotations,
             surveys and self._cubes,
             *views,

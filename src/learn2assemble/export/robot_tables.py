@@ -24,17 +24,11 @@ from learn2assemble.files import read_bytes, write_file
 from learn2assemble.geometry.hulls import Hull, hull_of
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.driver import driver_of, stand
+from learn2assemble.motion.files import studs_data, studs_from
 from learn2assemble.motion.knots import Knots
-from learn2assemble.motion.program import (
-    Blocks,
-    Program,
-    ProgramStep,
-    Supply,
-    ToolState,
-    Wait,
-)
+from learn2assemble.motion.places import Blocks, Supply
+from learn2assemble.motion.program import Program, ProgramStep, ToolState, Wait
 from learn2assemble.motion.record import are_objects
-from learn2assemble.motion.stud_files import studs_data, studs_from
 from learn2assemble.robot.arm import Arm, Limits, get_arm
 from learn2assemble.robot.moves import STAGES
 from learn2assemble.values import load_json, rounded_array

@@ -19,7 +19,7 @@ from learn2assemble.export.place_words import plain, preparation, size_words, wo
 from learn2assemble.export.robot_tables import changes
 from learn2assemble.files import write_file
 from learn2assemble.geometry.rotations import quaternion_matrix
-from learn2assemble.motion.driver import driver_of
+from learn2assemble.motion.driver import driver_of, pose_vector
 from learn2assemble.motion.program import Program, ProgramStep, Wait, motions
 from learn2assemble.motion.settings import ProgramSettings
 from learn2assemble.motion.waits import BY_HAND
@@ -167,7 +167,7 @@ def _head(
         planned=_list(planned),
         mass=f"{driver.tool_mass:.4f}",
         centre=_list(driver.tool_centre),
-        tcp=_list(_pose(driver.tcp)),
+        tcp=_list(pose_vector(driver.tcp)),
         other_arm=_OTHER_ARM.format(host=settings.other_arm) if program.of_two else "",
         meet=_MEET if program.of_two else "",
         begin="  l2a_meet()\n" if program.of_two else "",
@@ -181,14 +181,6 @@ def planned_frame(arm: Arm) -> np.ndarray:
 
     middle, turn = world_in_base(arm)
     return np.concatenate([middle, Rotation.from_matrix(turn).as_rotvec()])
-
-
-def _pose(pose: np.ndarray) -> np.ndarray:
-    """x, y, z and a rotation vector float64[6], of a position and a quaternion float64[7]."""
-    from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs]
-
-    turn = Rotation.from_quat(pose[3:], scalar_first=True).as_rotvec()
-    return np.concatenate([pose[:3], turn])
 
 
 def _check_taught(taught: np.ndarray, planned: np.ndarray) -> None:

@@ -14,8 +14,6 @@ import numpy as np
 
 ONE_PLANE = 1e-7
 """How far a point of a hull may be from a plane to lie in it, in extents of the hull."""
-_RIGHT = 1e-6
-"""Cosine of the angle between two axes of a box, at most."""
 
 
 def convex_hull(points: np.ndarray) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:

@@ -9,7 +9,6 @@ out where one is named. The agent of the paper builds random problems of its tas
 from __future__ import annotations
 
 import inspect
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -60,6 +59,8 @@ if TYPE_CHECKING:
 
 SUPPORTS = ("auto", "none", "props", "posts")
 """What may carry blocks until they carry themselves."""
+OF_AN_ARM = ("tool", "layout", "state", "physics", "noise")
+"""What may be asked where an arm builds."""
 AGENT_SECONDS, EXACT_SECONDS = 20.0, 60.0
 """Limits of the widest search of a task, and of planning a design with its proof [s]."""
 Progress = Callable[[str], None]
@@ -162,27 +163,27 @@ def build(
     _check_values(noise=noise, holds=holds, seed=seed, seconds=seconds, progress=progress)
     _check_names(build, reading)
     arms = arm_names(arm)
+    asked = {
+        "kit": kit,
+        "friction": friction,
+        "gap": gap,
+        "layout": layout,
+        "tool": tool,
+        "state": state,
+        "supports": None if supports == "auto" else supports,
+        "holds": holds or None,
+        "hands": hands or None,
+        "shell": shell,
+        "plates": plates or None,
+        "old": old,
+        "noise": noise if any(noise) else None,
+        "physics": None if physics == PHYSICS[0] else physics,
+        **reading,
+    }
     if is_task(design):
         if planner == EXACT:
             raise InputError("planner", EXACT, f"agent, for the task {design}")
-        given = {
-            "kit": kit,
-            "friction": friction,
-            "gap": gap,
-            "layout": layout,
-            "tool": tool,
-            "state": state,
-            "supports": None if supports == "auto" else supports,
-            "holds": holds or None,
-            "hands": hands or None,
-            "shell": shell,
-            "plates": plates or None,
-            "old": old,
-            "noise": noise if any(noise) else None,
-            "physics": None if physics == PHYSICS[0] else physics,
-            **reading,
-        }
-        _refuse(given, f"a design (not the task {design})")
+        _refuse(asked, f"a design (not the task {design})")
         for name in arms:
             check_name("arm", name, (*ARMS, NO_ARM))
         if len(arms) > 1:
@@ -207,16 +208,7 @@ def build(
         how = ArmChoice(arms, tool, layout, physics, noise, state, seed)
         how.check()
     else:
-        _refuse(
-            {
-                "tool": tool,
-                "layout": layout,
-                "state": state,
-                "physics": None if physics == PHYSICS[0] else physics,
-                "noise": noise if any(noise) else None,
-            },
-            "an arm to build with (`arm=`)",
-        )
+        _refuse({name: asked[name] for name in OF_AN_ARM}, "an arm to build with (`arm=`)")
     limit = EXACT_SECONDS if seconds is None else seconds
     given = {"friction": friction, "gap": gap, "progress": progress, "seconds": limit}
     if shell is not None and not is_whole(shell, 1, 64):
@@ -242,7 +234,9 @@ def build(
         kit = kit_of(found, kit)
         props = supports != "none"
         if standing is not None:
-            kits = _kits_from(kit, standing)
+            from learn2assemble.planning.rebuild import fewest_moved, kits_from
+
+            kits = kits_from(kit, standing)
             given["seconds"] = limit / len(kits)
             tried = list[Plan]()
             for one in kits:
@@ -252,7 +246,7 @@ def build(
                     # Some of the blocks may not fill what all of them do.
                     if one is kits[-1]:
                         raise
-            plan = _with_friction(_rebuilt(standing, tried, limit, progress), friction)
+            plan = _with_friction(fewest_moved(standing, tried, limit, progress), friction)
             return plan if how is None else rebuilt_by(how, plan, kit.joint_gap, progress)
         if kit.joint.law == "clutch":
             plan = bricks_plan(found, kit, workcell, help_, choice, given)
@@ -265,7 +259,9 @@ def build(
         plan = replace(plan, design=replace(plan.design, source=source))
     if standing is None:
         return _with_friction(plan, friction)
-    plan = _with_friction(_rebuilt(standing, [plan], limit, progress), friction)
+    from learn2assemble.planning.rebuild import fewest_moved
+
+    plan = _with_friction(fewest_moved(standing, [plan], limit, progress), friction)
     joint = found.kit.joint_gap if isinstance(found, Goals) else 0.0
     return plan if how is None else rebuilt_by(how, plan, joint, progress)
 
@@ -371,48 +367,6 @@ def _read_old(old: object) -> Assembly:
     if not isinstance(old, Assembly):
         raise InputError("old", _called(old), "an assembly or its file")
     return old
-
-
-def _kits_from(kit: Kit, old: Assembly) -> list[Kit]:
-    """Blocks that a design may be filled with where a structure stands already: those of that
-    alone, any number of its kinds, and all of the kit.
-
-    Raises:
-        InputError: for blocks that the kit has not, and for a kit whose joints are not dry.
-    """
-    if kit.joint.law != "dry":
-        got = f"kit {kit.name} of {kit.joint.law} joints"
-        raise InputError("old structure", got, "dry blocks")
-    names = [kind.name for kind in kit.kinds]
-    there = [block for block in old.finished.blocks if not block.support]
-    for block in there:
-        where = f"old structure: kind of block {block.id} (kit {kit.name})"
-        check_name(where, block.kind, names)
-    count = Counter(block.kind for block in there)
-    own = replace(kit, kinds=tuple(replace(k, count=count[k.name]) for k in kit.kinds))
-    same = replace(kit, kinds=tuple(k for k in kit.kinds if count[k.name]))
-    return [own, same, kit]
-
-
-def _rebuilt(
-    old: Assembly, tried: list[Plan], seconds: float, progress: Callable[[str], None]
-) -> Plan:
-    """A structure turned into whichever plan takes the fewest moves."""
-    from learn2assemble.planning.rebuild import rebuild
-
-    # Kits that differ often give the same blocks, of which the first plan is enough.
-    some: dict[object, Plan] = {}
-    for plan in [plan for plan in tried if plan.complete] or tried[-1:]:
-        blocks = () if plan.assembly is None else plan.assembly.blocks
-        placed = tuple((block.kind, block.vertices.tobytes()) for block in blocks)
-        some.setdefault((placed, plan.gap_range), plan)
-    plans = [*some.values()]
-    limit = seconds / len(plans)
-    found = [rebuild(old, plan, seconds=limit, progress=progress) for plan in plans]
-    return min(
-        found,
-        key=lambda plan: (not plan.complete, 0 if plan.rebuilt is None else plan.rebuilt.moves),
-    )
 
 
 def _with_friction(plan: Plan, asked: Bounds) -> Plan:

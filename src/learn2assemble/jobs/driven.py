@@ -5,15 +5,15 @@ anything moves, and it is told how it was driven.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from learn2assemble.cell.building import Building
 from learn2assemble.cell.world import MISSING
 from learn2assemble.motion.plant import (
-    Guard,
+    Commands,
+    Guards,
     Motion,
     Plant,
     PlantError,
@@ -80,12 +80,7 @@ class Timed(WrappedPlant):
         self.last = found.time
         return found
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         report = self.plant.execute(motion, commands, guards)
         if report.stop is Stop.END and motion.seconds:
@@ -96,7 +91,7 @@ class Timed(WrappedPlant):
 
     def link(self, plant: Plant) -> Link:
         """The figures; the plant may know more."""
-        count, rate = max(self.motions, 1), method_of(plant, "rate")
+        count, rate = max(self.motions, 1), getattr(plant, "rate", None)
         return Link(
             self.motions,
             round(self.moving, 2),
@@ -104,11 +99,6 @@ class Timed(WrappedPlant):
             round(self.waited / max(self.looks, 1), 5),
             None if rate is None else rate(),
         )
-
-
-def method_of(plant: Plant, name: str) -> Callable[..., Any] | None:
-    """What some plants can do besides; None where this one cannot."""
-    return getattr(plant, name, None)
 
 
 def check_robot(plant: Plant, setup: Setup, resumed: bool, name: str = "") -> None:

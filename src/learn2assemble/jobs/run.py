@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from learn2assemble.cell.building import Building, Kept, Prepared
+from learn2assemble.cell.building import Building, Prepared
 from learn2assemble.cell.carry_out import (
     key_of,
     no_pictures,
@@ -25,6 +25,7 @@ from learn2assemble.cell.carry_out import (
 )
 from learn2assemble.cell.crew import Member
 from learn2assemble.cell.in_turn import two_arms
+from learn2assemble.cell.journal import Kept
 from learn2assemble.cell.pair import bricks_by_team
 from learn2assemble.cell.report import Witness, Worked, carried_out, words_of
 from learn2assemble.cell.site import Site, read_site
@@ -34,7 +35,7 @@ from learn2assemble.cell.team import set_up_team
 from learn2assemble.cell.together import built_by
 from learn2assemble.cell.workcell import StepOf, Workcell
 from learn2assemble.errors import InputError, check_name
-from learn2assemble.jobs.driven import Link, Timed, check_robot, method_of, take_away
+from learn2assemble.jobs.driven import Link, Timed, check_robot, take_away
 from learn2assemble.motion.plant import Plant, PlantError, Stop
 from learn2assemble.motion.remote import RemotePlant, in_process
 from learn2assemble.motion.robots import Robots
@@ -218,10 +219,8 @@ def _by_one(
         seeing = through_cameras(plant, setup, job.pieces, workcell.site.cameras)
     timed = Timed(Guarded(seeing, job.arm, workcell.site.safety, order.speed))
     check_robot(timed, setup, bool(workcell.log and workcell.log.exists()))
-    save, restore = method_of(seeing, "state"), method_of(seeing, "restore")
-    kept = None if save is None or restore is None else Kept(save, restore)
     words, witness, key = words_of(job, workcell), Witness(plant), key_of(order.plan, workcell)
-    building = Building(found, workcell, timed, words, key, kept, witness)
+    building = Building(found, workcell, timed, words, key, Kept.of(seeing), witness)
     known = building.known
     if setup.around.trust_placements:
         take_away(timed, setup, building)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from typing import Any, cast
 
 import numpy as np
@@ -11,7 +11,8 @@ import numpy as np
 from learn2assemble.motion.plant import (
     STATES,
     BlockReading,
-    Guard,
+    Commands,
+    Guards,
     Motion,
     Plant,
     PlantError,
@@ -19,7 +20,6 @@ from learn2assemble.motion.plant import (
     Report,
     Request,
     Stop,
-    ToolCommand,
     ToolReading,
     WrappedPlant,
 )
@@ -71,12 +71,7 @@ class Checked(WrappedPlant):
         kept = tuple(one for one in found.blocks if found.time - one.time <= self.oldest)
         return found._replace(blocks=kept)
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`Plant`."""
         return self._reported(self._asked(self.plant.execute, motion, commands, guards))
 

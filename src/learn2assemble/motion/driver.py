@@ -64,6 +64,14 @@ def driver_of(arm: Arm) -> Driver:
     )
 
 
+def pose_vector(pose: np.ndarray) -> np.ndarray:
+    """x, y, z and a rotation vector float64[6], of a position and a quaternion float64[7]."""
+    from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs]
+
+    turn = Rotation.from_quat(pose[3:], scalar_first=True).as_rotvec()
+    return np.concatenate([pose[:3], turn])
+
+
 def stand(name: str, tool: str, base: np.ndarray) -> Arm:
     """An arm with its tool where it stands: x, y, z [m, world] and turn about z [rad]."""
     arm = get_arm(name, tool)

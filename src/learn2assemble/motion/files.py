@@ -10,7 +10,7 @@ import csv
 import dataclasses
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,8 +20,8 @@ from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.files import read_json, write_file
 from learn2assemble.geometry.hulls import Hull, hull_of
 from learn2assemble.motion.record import ArmFacts, BuildRecord, ByHand, Samples, Stage, StepRecord
-from learn2assemble.motion.stud_files import studs_data, studs_from
 from learn2assemble.robot.moves import STAGES, Outcome
+from learn2assemble.robot.studs import GROUND, StudJoint, Studs
 from learn2assemble.values import integer, rounded_array
 
 FORMAT, VERSION = "learn2assemble-trajectory", 5
@@ -290,3 +290,65 @@ def write_csv(record: BuildRecord, path: Path) -> None:
             cells = (f"{value:.{DECIMALS}f}" for value in row)
             writer.writerow([step.number, step.stage_at(time), *cells])
     write_file(path, out.getvalue(), "trajectory table")
+
+
+# ---------------------------------------------------------------- joints of studs, also of programs
+
+_JOINT = ("lower", "upper", "at", "pull", "middle", "hull", "face")
+
+
+def studs_data(studs: Studs) -> dict[str, Any]:
+    """Joints as plain values; none of them is home yet.
+
+    Args:
+        studs: whose bricks are numbers of cells.
+    """
+    joints = [{name: getattr(joint, name) for name in _JOINT} for joint in studs.joints]
+    return {"press": studs.press, "joints": joints}
+
+
+def studs_from(data: Mapping[str, Any], cells: int) -> Studs:
+    """What :func:`studs_data` has made.
+
+    Args:
+        cells: how many there are.
+
+    Raises:
+        ValueError: for anything else; also KeyError and TypeError.
+    """
+    made: list[StudJoint] = []
+    for one in data["joints"]:
+        lower, upper = int(one["lower"]), int(one["upper"])
+        if not (GROUND <= lower < cells and 0 <= upper < cells and lower != upper):
+            raise ValueError(f"a joint of cells {lower} and {upper} of {cells}")
+        hull, (low, high) = one["hull"], one["face"]
+        x, y, z = _numbers(one["at"], 3)
+        (pull,) = _numbers([one["pull"]], 1)
+        made.append(
+            StudJoint(
+                lower,
+                upper,
+                (x, y, z),
+                pull,
+                _point(one["middle"]),
+                tuple(map(_point, hull)),
+                (_point(low), _point(high)),
+                False,
+            )
+        )
+    (press,) = _numbers([data["press"]], 1)
+    if press <= 0:
+        raise ValueError(f"a press of {press:g} N")
+    return Studs(tuple(made), press)
+
+
+def _point(value: Sequence[float]) -> tuple[float, float]:
+    x, y = _numbers(value, 2)
+    return x, y
+
+
+def _numbers(value: Sequence[float], count: int) -> list[float]:
+    array = np.array(value, float)
+    if array.shape != (count,) or not np.isfinite(array).all():
+        raise ValueError(f"{value} instead of {count} finite numbers")
+    return array.tolist()

@@ -1,4 +1,5 @@
-"""Where an arm takes blocks from: what a person, or a feeder, has to prepare for a build.
+"""Where an arm takes blocks from: what a person, or a feeder, has to prepare for a build; and where
+they are while it is played.
 
 A place is where blocks of a kind wait, each at the same pose. Of several the first one may lie
 there from the beginning; the others come when the one before has been taken, as a magazine presents
@@ -15,9 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from learn2assemble.geometry.hulls import Hull
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.record import BuildRecord, StepRecord
 from learn2assemble.robot.moves import DENSITY
+from learn2assemble.robot.studs import Studs
 
 SQUARE = 5e-5
 """Sides that differ by no more are told as equal: those of a square [m]."""
@@ -321,3 +324,82 @@ def half_turn(angle: float) -> float:
     adds to it [rad]."""
     most = math.pi / 2 + 1e-4
     return most - (most - angle) % math.pi
+
+
+# ---------------------------------------------------------------- where blocks are meanwhile
+
+
+class Supply(NamedTuple):
+    """A magazine presents a block, or takes one back."""
+
+    time: float
+    """[s]"""
+    cells: tuple[int, ...]
+    poses: np.ndarray
+    """float64[m, 7]: where they are from then on; below the table: in a magazine."""
+
+
+class Blocks(NamedTuple):
+    """The cells of a build: each is one box."""
+
+    objects: tuple[tuple[int, ...], ...]
+    """Cells of every rigid object."""
+    edge: float
+    """Of a cube [m]."""
+    half: np.ndarray | None
+    """float64[C, 3]: half extents of the boxes [m]; None: all are cubes of that edge."""
+    start: np.ndarray
+    """float64[C, 7]: poses before the program: x, y, z [m, world], quaternion (w, x, y, z). What
+    is below the table waits in a magazine."""
+    end: np.ndarray
+    """The same at its end."""
+    supply: tuple[Supply, ...] = ()
+    """In the order of their times."""
+    density: np.ndarray | None = None
+    """float64[C] of the cells [kg/m3]; None: that of the cubes."""
+    hull: tuple[Hull | None, ...] | None = None
+    """Of each cell about its centre, where it is no box; None: all are boxes."""
+    studs: Studs | None = None
+    """Joints that bricks make in the structure, in cells, none of them home; None: there are
+    none."""
+    names: tuple[str, ...] = ()
+    """What the plan calls the block of each cell."""
+    kinds: tuple[str, ...] = ()
+    """Its kind, for each cell."""
+
+    def name(self, cell: int) -> str:
+        """What messages call the block of a cell."""
+        return self.names[cell] if self.names else f"block {cell}"
+
+    @property
+    def halves(self) -> np.ndarray:
+        """float64[C, 3]: half extents of all boxes [m]."""
+        return np.full((len(self.start), 3), self.edge / 2) if self.half is None else self.half
+
+    def mass(self, cells: Sequence[int]) -> float:
+        """Of some cells [kg]."""
+        density = DENSITY if self.density is None else self.density[list(cells)]
+        volume = 8 * self.halves[list(cells)].prod(1)
+        for k, cell in enumerate(cells):
+            hull = None if self.hull is None else self.hull[cell]
+            volume[k] = volume[k] if hull is None else hull.volume
+        return float((density * volume).sum())
+
+    def middles(self, cells: Sequence[int], poses: np.ndarray) -> np.ndarray:
+        """float64[m, 3]: centres of mass of some cells at poses float64[C, 7] of all [m]."""
+        found = poses[list(cells), :3].copy()
+        for k, cell in enumerate(cells):
+            hull = None if self.hull is None else self.hull[cell]
+            if hull is not None:
+                found[k] += quaternion_matrix(poses[cell, 3:]) @ hull.centroid
+        return found
+
+
+def supply_of(record: BuildRecord, ends: list[float]) -> Iterator[Supply]:
+    """When magazines present blocks or take them: those that are under the table before a step
+    and above it afterwards, or the other way round."""
+    for step, end in zip(record.steps, ends, strict=True):
+        hidden, shown = step.before[:, 2] < 0, step.after[:, 2] >= 0
+        for cells in record.objects:
+            if hidden[list(cells)].all() == shown[list(cells)].all():
+                yield Supply(end, cells, step.after[list(cells)])

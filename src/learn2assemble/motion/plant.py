@@ -103,16 +103,24 @@ class Motion(NamedTuple):
         if len(self.time) < 2:
             there = np.repeat(self.joints[:1], len(time), 0)
             return there, np.zeros_like(there)
-        k = np.searchsorted(self.time, time, "right") - 1
-        k = np.minimum(np.maximum(k, 0), len(self.time) - 2)
-        begin = self.time[k]
-        h = (self.time[k + 1] - begin)[:, None]
-        u = (np.minimum(np.maximum(time, 0.0), self.seconds) - begin)[:, None] / h
-        q0, q1 = self.joints[k], self.joints[k + 1]
-        v0, v1 = self.velocity[k] * h, self.velocity[k + 1] * h
-        bend, third = 3 * (q1 - q0) - 2 * v0 - v1, v0 + v1 - 2 * (q1 - q0)
-        q = q0 + u * (v0 + u * (bend + u * third))
-        return q, (v0 + u * (2 * bend + 3 * u * third)) / h
+        return between(self, np.minimum(np.maximum(time, 0.0), self.seconds))[:2]
+
+
+def between(motion: Motion, at: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions, velocities and accelerations, each float64[m, n], at times float64[m] within a
+    motion of two samples or more."""
+    time, q, v = motion.time, motion.joints, motion.velocity
+    piece = np.searchsorted(time, at, "right") - 1
+    piece = np.minimum(np.maximum(piece, 0), len(time) - 2)
+    h = (time[piece + 1] - time[piece])[:, None]
+    u = (at - time[piece])[:, None] / h
+    v0, v1, d = v[piece] * h, v[piece + 1] * h, q[piece + 1] - q[piece]
+    c2, c3 = 3 * d - 2 * v0 - v1, v0 + v1 - 2 * d
+    return (
+        q[piece] + u * (v0 + u * (c2 + u * c3)),
+        (v0 + u * (2 * c2 + 3 * u * c3)) / h,
+        (2 * c2 + 6 * u * c3) / h**2,
+    )
 
 
 def standing(stage: str, joints: np.ndarray, seconds: float) -> Motion:
@@ -163,6 +171,10 @@ class Guard(NamedTuple):
     that cannot tell the two apart takes the smaller."""
     width: tuple[float, float] | None = None
     """Stops where the opening between the pads leaves this range [m] (:attr:`Stop.WIDTH`)."""
+
+
+Commands = Sequence[ToolCommand]
+Guards = Sequence[Guard]
 
 
 class Request(NamedTuple):
@@ -251,12 +263,7 @@ class Plant(Protocol):
         """What is sensed now."""
         ...
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """Carry a motion out, and return when the arm stands.
 
         Args:
@@ -293,12 +300,7 @@ class WrappedPlant:
         """See :class:`Plant`."""
         return self.plant.sense()
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`Plant`."""
         return self.plant.execute(motion, commands, guards)
 

@@ -12,7 +12,7 @@ between the samples, too, by the control points of the polynomials, which contai
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -20,12 +20,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.hulls import Hull
-from learn2assemble.geometry.rotations import (
-    quaternion_matrix,
-)
 from learn2assemble.motion.knots import REST, Knots, fit, slow_down
-from learn2assemble.motion.places import Pick, PickPlace, Stands, name_of, step_numbers, supplied
+from learn2assemble.motion.places import (
+    Blocks,
+    Pick,
+    PickPlace,
+    Stands,
+    name_of,
+    step_numbers,
+    supplied,
+    supply_of,
+)
 from learn2assemble.motion.record import (
     BuildRecord,
     ByHand,
@@ -34,7 +39,7 @@ from learn2assemble.motion.record import (
     require_sound,
 )
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.moves import DENSITY, STAGES, Outcome
+from learn2assemble.robot.moves import STAGES, Outcome
 from learn2assemble.robot.studs import GROUND, StudJoint, Studs
 
 LOAD_TIME = 0.1
@@ -84,8 +89,8 @@ class ProgramStep(NamedTuple):
     held: tuple[float, float] | None
     """When the object begins and ceases to follow the hand [s]."""
     after: np.ndarray | None = None
-    """float64[C, 7]: poses of all cells after the step, as in :class:`Blocks`; None where that was
-    not told."""
+    """float64[C, 7]: poses of all cells after the step, as in :class:`~.places.Blocks`; None where
+    that was not told."""
     plan_step: int | None = None
     """The step of the plan that it carries out, or tries to."""
     pick: Pick | None = None
@@ -108,72 +113,6 @@ class Wait(NamedTuple):
     """1, 2, ...: of :attr:`Program.awaited` of that program."""
     hands: tuple[str, ...] = ()
     """What is done by hand by then, for which that program asks, in words."""
-
-
-class Supply(NamedTuple):
-    """A magazine presents a block, or takes one back."""
-
-    time: float
-    """[s]"""
-    cells: tuple[int, ...]
-    poses: np.ndarray
-    """float64[m, 7]: where they are from then on; below the table: in a magazine."""
-
-
-class Blocks(NamedTuple):
-    """The cells of a build: each is one box."""
-
-    objects: tuple[tuple[int, ...], ...]
-    """Cells of every rigid object."""
-    edge: float
-    """Of a cube [m]."""
-    half: np.ndarray | None
-    """float64[C, 3]: half extents of the boxes [m]; None: all are cubes of that edge."""
-    start: np.ndarray
-    """float64[C, 7]: poses before the program: x, y, z [m, world], quaternion (w, x, y, z). What
-    is below the table waits in a magazine."""
-    end: np.ndarray
-    """The same at its end."""
-    supply: tuple[Supply, ...] = ()
-    """In the order of their times."""
-    density: np.ndarray | None = None
-    """float64[C] of the cells [kg/m3]; None: that of the cubes."""
-    hull: tuple[Hull | None, ...] | None = None
-    """Of each cell about its centre, where it is no box; None: all are boxes."""
-    studs: Studs | None = None
-    """Joints that bricks make in the structure, in cells, none of them home; None: there are
-    none."""
-    names: tuple[str, ...] = ()
-    """What the plan calls the block of each cell."""
-    kinds: tuple[str, ...] = ()
-    """Its kind, for each cell."""
-
-    def name(self, cell: int) -> str:
-        """What messages call the block of a cell."""
-        return self.names[cell] if self.names else f"block {cell}"
-
-    @property
-    def halves(self) -> np.ndarray:
-        """float64[C, 3]: half extents of all boxes [m]."""
-        return np.full((len(self.start), 3), self.edge / 2) if self.half is None else self.half
-
-    def mass(self, cells: Sequence[int]) -> float:
-        """Of some cells [kg]."""
-        density = DENSITY if self.density is None else self.density[list(cells)]
-        volume = 8 * self.halves[list(cells)].prod(1)
-        for k, cell in enumerate(cells):
-            hull = None if self.hull is None else self.hull[cell]
-            volume[k] = volume[k] if hull is None else hull.volume
-        return float((density * volume).sum())
-
-    def middles(self, cells: Sequence[int], poses: np.ndarray) -> np.ndarray:
-        """float64[m, 3]: centres of mass of some cells at poses float64[C, 7] of all [m]."""
-        found = poses[list(cells), :3].copy()
-        for k, cell in enumerate(cells):
-            hull = None if self.hull is None else self.hull[cell]
-            if hull is not None:
-                found[k] += quaternion_matrix(poses[cell, 3:]) @ hull.centroid
-        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,13 +183,6 @@ def motions(program: Program) -> Iterator[tuple[int, int]]:
     for begin, end in pairwise(np.flatnonzero(np.diff(moving)).tolist()):
         if program.motion[begin]:
             yield begin, end
-
-
-def left_alone(program: Program) -> int:
-    """How many objects stand there at the end that no step moves."""
-    moved, end = {cell for step in program.steps for cell in step.cells}, program.blocks.end
-    others = (cells for cells in program.blocks.objects if not moved.intersection(cells))
-    return sum(bool(end[cells[0], 2] >= 0) for cells in others)
 
 
 def make_program(record: BuildRecord, arm: Arm) -> Program:
@@ -502,7 +434,7 @@ def _with_tool(program: Program, record: BuildRecord, arm: Arm, samples: Samples
         knots=program.knots._replace(time=time),
         states=tuple(state._replace(time=float(time[k] + wait)) for k, wait, state in teller.told),
         steps=tuple(made),
-        blocks=blocks._replace(supply=tuple(_supply(record, [one.end for one in made]))),
+        blocks=blocks._replace(supply=tuple(supply_of(record, [one.end for one in made]))),
     )
 
 
@@ -511,10 +443,7 @@ def _press(studs: Studs | None, step: StepRecord) -> float:
     if studs is None or step.outcome != Outcome.REACHED:
         return 0.0
     own = set(step.cells)
-    made = any(
-        (joint.upper in own) != (joint.lower in own) and _met(joint, step.after)
-        for joint in studs.joints
-    )
+    made = any(joint.leaves(own) and _met(joint, step.after) for joint in studs.joints)
     return PRESS_SHARE * studs.press if made else 0.0
 
 
@@ -535,16 +464,6 @@ def _meant(samples: Samples, span: slice, arm: Arm, edge: float) -> float:
         return round(told + arm.gripper.force / arm.gripper.stiffness, 4)
     # No command below the width, as of a cell without forces: what it closed on, also nothing.
     return max(math.ceil(1e3 * float(width[-1]) - 1e-6) / 1e3, edge)
-
-
-def _supply(record: BuildRecord, ends: list[float]) -> Iterator[Supply]:
-    """When magazines present blocks or take them: those that are under the table before a step
-    and above it afterwards, or the other way round."""
-    for step, end in zip(record.steps, ends, strict=True):
-        hidden, shown = step.before[:, 2] < 0, step.after[:, 2] >= 0
-        for cells in record.objects:
-            if hidden[list(cells)].all() == shown[list(cells)].all():
-                yield Supply(end, cells, step.after[list(cells)])
 
 
 def _runs(indices: np.ndarray) -> list[tuple[int, int]]:

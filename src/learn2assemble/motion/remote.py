@@ -13,7 +13,7 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -22,7 +22,8 @@ from typing import Any
 
 from learn2assemble.errors import Learn2AssembleError
 from learn2assemble.motion.plant import (
-    Guard,
+    Commands,
+    Guards,
     Motion,
     Plant,
     PlantError,
@@ -30,7 +31,6 @@ from learn2assemble.motion.plant import (
     Report,
     Request,
     Stop,
-    ToolCommand,
 )
 from learn2assemble.motion.setup import Setup
 
@@ -172,12 +172,7 @@ class RemotePlant:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         return self._ask("sense")
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         return self._ask("execute", motion, tuple(commands), tuple(guards))
 

@@ -14,7 +14,8 @@ from contextlib import contextmanager, suppress
 from typing import Any, TypeVar
 
 from learn2assemble.motion.plant import (
-    Guard,
+    Commands,
+    Guards,
     Motion,
     Plant,
     PlantError,
@@ -22,7 +23,6 @@ from learn2assemble.motion.plant import (
     Report,
     Request,
     Stop,
-    ToolCommand,
     WrappedPlant,
 )
 from learn2assemble.motion.setup import Surroundings
@@ -169,12 +169,7 @@ class OneOfRobots(WrappedPlant):
         seen += [] if look is None else [one._replace(time=min(one.time, now)) for one in look()]
         return found._replace(time=now, blocks=tuple(seen))
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`.
 
         Raises:

@@ -8,22 +8,23 @@ is slowed down on its path, and every motion stops at the largest force.
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from learn2assemble.errors import InputError
-from learn2assemble.motion.cubics import between, slower
 from learn2assemble.motion.plant import (
+    Commands,
     Guard,
+    Guards,
     Motion,
     Plant,
     Report,
     Stop,
     ToolCommand,
     WrappedPlant,
+    between,
 )
 from learn2assemble.robot.arm import Arm, arm_spec
 from learn2assemble.robot.kinematics import Chain, forward_many, get_chain
@@ -289,12 +290,7 @@ class Guarded(WrappedPlant):
         self.safety = safety
         self.speed = speed
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`; a motion that breaks a rule is refused
         and not passed on."""
         why = self.rules.breach(motion)
@@ -304,10 +300,10 @@ class Guarded(WrappedPlant):
         if self.safety.speed is not None:
             factor = max(factor, self.rules.peak_speed(motion) / self.safety.speed)
         if factor > 1:
-            motion, commands, guards = slower(motion, commands, guards, factor)
+            motion, commands, guards = _slower(motion, commands, guards, factor)
         return self.plant.execute(motion, commands, self._pressed(guards))
 
-    def _pressed(self, guards: Sequence[Guard]) -> Sequence[Guard]:
+    def _pressed(self, guards: Guards) -> Guards:
         """The guards, with the largest force."""
         most = self.safety.force
         if most is None:
@@ -326,3 +322,14 @@ class Guarded(WrappedPlant):
             )
             for one in (*first, *guards)
         ]
+
+
+def _slower(
+    motion: Motion, commands: Commands, guards: Guards, factor: float
+) -> tuple[Motion, list[ToolCommand], list[Guard]]:
+    """A motion on the same path in ``factor`` times its time, with what happens during it."""
+    return (
+        Motion(motion.stage, motion.time * factor, motion.joints, motion.velocity / factor),
+        [one._replace(at=one.at * factor) for one in commands],
+        [one._replace(begin=one.begin * factor) for one in guards],
+    )

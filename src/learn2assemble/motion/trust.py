@@ -7,7 +7,6 @@ be so. Nobody notices then that a block was moved by somebody else, or lies asla
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,14 +14,14 @@ import numpy as np
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
 from learn2assemble.motion.plant import (
     BlockReading,
-    Guard,
+    Commands,
+    Guards,
     Motion,
     Plant,
     Readings,
     Report,
     Request,
     Stop,
-    ToolCommand,
     WrappedPlant,
 )
 from learn2assemble.motion.setup import Setup
@@ -117,12 +116,7 @@ class Trusted(WrappedPlant):
         )
         return found._replace(blocks=seen)
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         report = self.plant.execute(motion, commands, guards)
         joints = self.plant.sense().joints

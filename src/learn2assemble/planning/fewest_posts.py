@@ -75,10 +75,7 @@ def _proven(rules: Forward, state: State, done: Doing) -> bool:
     if not rules.site.ways.free(block, state.present, sliding=False):
         return False
     if action == "remove":
-        near = rules.site.near[block]
-        return rules.stands(
-            state, [n for n in near if state.present[n] and not rules.site.fixed[n]]
-        )
+        return rules.stands(state, rules.on(block, state))
     if block >= rules.count:
         return rules.stands(state)
     return any(law.rests(state, block) for law in rules.laws) and rules.stands(state, [block])

@@ -1,10 +1,16 @@
-"""The folder that a plan is saved in: names of its files, and whose those are that are there."""
+"""The folder that a plan is saved in: its files beside ``plan.json``, and whose those there are."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from learn2assemble.errors import InputError
+
+if TYPE_CHECKING:
+    from learn2assemble.assembly.blocks import Assembly
+    from learn2assemble.motion.record import BuildRecord
 
 FORMAT = "learn2assemble-plan"
 """What ``plan.json`` says it is."""
@@ -42,3 +48,45 @@ def check_own(folder: Path) -> None:
         if f'"{FORMAT}"' not in head:
             expected = "a folder without such files, or one that a plan was saved in"
             raise InputError("folder", f"{folder}, with another {found}", expected)
+
+
+def make_folder(folder: Path) -> None:
+    """A folder that is there from now on.
+
+    Raises:
+        InputError: where it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise InputError("folder", str(folder), f"one that can be made ({reason})") from None
+
+
+def read_beside(plan: Path, arms: int) -> tuple[tuple[BuildRecord, ...], Assembly | None]:
+    """The motions of so many arms, where all of them are there, and the blocks beside a plan."""
+    records: tuple[BuildRecord, ...] = ()
+    blocks = None
+    motions = [plan.with_name(f"{name}.json") for name in trajectory_names(arms)]
+    if all(motion.exists() for motion in motions):
+        from learn2assemble.motion.files import read_record
+
+        records = tuple(map(read_record, motions))
+    if (file := plan.with_name("assembly.json")).exists():
+        from learn2assemble.assembly.files import read_assembly
+
+        blocks = read_assembly(file)
+    return records, blocks
+
+
+def write_records(folder: Path, records: Sequence[BuildRecord]) -> dict[str, Path]:
+    """The motions of arms, as records and as tables; which file is what."""
+    files = dict[str, Path]()
+    for name, record in zip(trajectory_names(len(records)), records, strict=True):
+        from learn2assemble.motion.files import write_csv, write_record
+
+        what = name.replace("-", " ")
+        files[what], files[f"{what} table"] = (folder / f"{name}{x}" for x in (".json", ".csv"))
+        write_record(record, files[what])
+        write_csv(record, files[f"{what} table"])
+    return files

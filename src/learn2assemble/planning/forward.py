@@ -22,7 +22,7 @@ from learn2assemble.planning.clearance import Ways
 from learn2assemble.planning.crew import ANYHOW, Anybody, Bringing, Crew
 from learn2assemble.planning.posts import Post
 from learn2assemble.planning.sequence import WAIT, Doing, FoundOrder, Transition, let_go
-from learn2assemble.statics.laws import Law
+from learn2assemble.statics.laws import Law, Proven
 from learn2assemble.statics.states import State
 
 _TRIES = 4000
@@ -65,7 +65,7 @@ class BuildingSite:
     crew: Crew = field(default_factory=Anybody)
 
 
-class Forward:
+class Forward(Proven):
     """Blocks put down from below; the rules of a search (:class:`~.sequence.OrderRules`).
 
     Args:
@@ -75,7 +75,7 @@ class Forward:
 
     def __init__(self, site: BuildingSite, posts: Sequence[Post] = ()) -> None:
         self.site = site
-        self.laws: Sequence[Law] = site.laws
+        super().__init__(site.laws)
         self.posts = posts
         self.holds: int = 0
         total = len(site.fixed)
@@ -101,8 +101,6 @@ class Forward:
             )
             for k in range(self.count if posts else 0)
         ]
-        self._known: dict[bytes, tuple[int, int | None]] = {}
-        """Of a state, the last law that was asked, and by which it stands."""
         self.grips: int = ANY_GRIPS
         """In how many ways blocks are held before other ones are."""
         self._gripped: Counter[tuple[bytes, tuple[tuple[int, str], ...]]] = Counter()
@@ -145,9 +143,9 @@ class Forward:
             other: of the same blocks and laws, without posts.
         """
         count, none = other.count, bytes(len(self.posts))
-        for key, found in other._known.items():
+        for key, found in other.known.items():
             parts = (key[k : k + count] + none for k in range(0, len(key), count))
-            self._known[b"".join(parts)] = found
+            self.known[b"".join(parts)] = found
         more = np.zeros(len(self.posts), bool)
         cured = None if state.cured is None else np.append(state.cured, more)
         present, held = np.append(state.present, more), np.append(state.held, more)
@@ -162,26 +160,6 @@ class Forward:
         return bool(self.allowed or self.holds or self._whole)
 
     # ------------------------------------------------------------ states
-
-    def law(self, state: State, most: int | None = None) -> int | None:
-        """The number of the first law by which a state stands, or None.
-
-        Args:
-            most: laws behind this one are not asked, and others give up early.
-        """
-        last = len(self.laws) - 1 if most is None else most
-        asked, found = self._known.get(state.key, (-1, None))
-        for number in range(asked + 1, last + 1):
-            if found is None and self.laws[number].stands(state, most is None):
-                found = number
-        if most is None or found is not None:
-            self._known[state.key] = last, found
-        return found
-
-    def stands(self, state: State, new: Iterable[int] = (), most: int | None = None) -> bool:
-        """Whether a state is proven, and its ``new`` blocks rest in it; ``most`` as in law."""
-        number = self.law(state, most)
-        return number is not None and all(self.laws[number].rests(state, b) for b in new)
 
     def key(self, move: Transition) -> tuple[bytes, frozenset[int]]:
         """What is there, and what is not to come again."""
@@ -277,7 +255,7 @@ class Forward:
         there = np.flatnonzero(state.present[self.count :]) + self.count
         for p in sorted(there.tolist(), key=lambda p: -self._away(p)):
             after = state.change(remove=[p])
-            if self.site.ways.free(p, state.present) and self.stands(after, self._on(p, after)):
+            if self.site.ways.free(p, state.present) and self.stands(after, self.on(p, after)):
                 yield Transition((self._goes(p, state),), after, last.gone)
 
     def _away(self, prop: int) -> float:
@@ -285,9 +263,9 @@ class Forward:
         at = np.array([post.block.centroid[:2] for post in self.posts])
         return round(float(np.linalg.norm(at[prop - self.count] - at.mean(0))), 6)
 
-    def _on(self, prop: int, state: State) -> list[int]:
-        """Blocks that touch a prop."""
-        near, fixed = self.site.near[prop], self.site.fixed
+    def on(self, block: int, state: State) -> list[int]:
+        """Blocks that stand beside one, and could move."""
+        near, fixed = self.site.near[block], self.site.fixed
         return [n for n in near if state.present[n] and not fixed[n]]
 
     def _waiting(self, last: Transition) -> Iterator[Transition]:
@@ -461,7 +439,7 @@ class Forward:
                 continue
             after = state.change(remove=[p])
             most = None if sure else self.law(state)
-            if self.stands(after, self._on(p, state), most) and self.site.ways.free(
+            if self.stands(after, self.on(p, state), most) and self.site.ways.free(
                 p, state.present
             ):
                 steps.append(self._goes(p, state))

@@ -16,7 +16,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from learn2assemble.errors import InputError, as_both
 from learn2assemble.files import MAX_GENERATED, as_path, read_text, write_file
-from learn2assemble.planning.folder import FORMAT, check_own, trajectory_names
+from learn2assemble.planning.folder import (
+    FORMAT,
+    check_own,
+    make_folder,
+    read_beside,
+    write_records,
+)
 from learn2assemble.planning.reports import ArmReport, BuilderArm, RebuildReport
 from learn2assemble.progress import Progress, silent
 from learn2assemble.registry import Registry
@@ -409,18 +415,8 @@ class Plan:
         if text.strip() and text.lstrip()[0] != "{":
             raise InputError(source, "a file of another kind", KIND)
         plan = cls.from_dict(load_json(text, source, KIND), source)
-        names = trajectory_names(max(len(plan.arms), 1))
-        motions = [file.with_name(f"{name}.json") for name in names]
-        if all(motion.exists() for motion in motions):
-            from learn2assemble.motion.files import read_record
-
-            plan = dataclasses.replace(plan, records=tuple(map(read_record, motions)))
-        blocks = file.with_name("assembly.json")
-        if blocks.exists():
-            from learn2assemble.assembly.files import read_assembly
-
-            plan = dataclasses.replace(plan, assembly=read_assembly(blocks))
-        return plan
+        records, blocks = read_beside(file, max(len(plan.arms), 1))
+        return dataclasses.replace(plan, records=records, assembly=blocks)
 
     def save(
         self,
@@ -449,11 +445,7 @@ class Plan:
         check_own(folder := as_path(folder, "folder"))
         said = self._with_fault(progress)
         said = dataclasses.replace(said, reason=said.reason and as_both(said.reason))
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            reason = error.strerror or type(error).__name__
-            raise InputError("folder", str(folder), f"one that can be made ({reason})") from None
+        make_folder(folder)
         files = {"plan": folder / "plan.json"}
         text = json.dumps(said.to_dict(), indent=1, allow_nan=False) + "\n"
         write_file(files["plan"], text, "plan")
@@ -461,13 +453,7 @@ class Plan:
             files |= EXPORTS["assembly"](self, folder, progress)
         if page:
             files |= self.write_page(folder)
-        for name, record in zip(trajectory_names(len(self.records)), self.records, strict=True):
-            from learn2assemble.motion.files import write_csv, write_record
-
-            what = name.replace("-", " ")
-            files[what], files[f"{what} table"] = (folder / f"{name}{x}" for x in (".json", ".csv"))
-            write_record(record, files[what])
-            write_csv(record, files[f"{what} table"])
+        files |= write_records(folder, self.records)
         if video and any(record.steps for record in self.records):
             files |= EXPORTS["video"](self, folder, progress)
         return files

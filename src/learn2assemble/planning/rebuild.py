@@ -13,7 +13,8 @@ import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep
 from learn2assemble.assembly.contacts import Contacts, add_point_contacts, find_contacts
-from learn2assemble.errors import InputError
+from learn2assemble.assembly.kit import Kit
+from learn2assemble.errors import InputError, check_name
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.changeover import (
     Changeover,
@@ -237,4 +238,42 @@ def with_copies(plan: Plan) -> Plan:
         plan,
         steps=tuple(steps),
         assembly=replace(plan.assembly, blocks=tuple(blocks), steps=tuple(made)),
+    )
+
+
+def kits_from(kit: Kit, old: Assembly) -> list[Kit]:
+    """Blocks that a design may be filled with where a structure stands already: those of that
+    alone, any number of its kinds, and all of the kit.
+
+    Raises:
+        InputError: for blocks that the kit has not, and for a kit whose joints are not dry.
+    """
+    if kit.joint.law != "dry":
+        got = f"kit {kit.name} of {kit.joint.law} joints"
+        raise InputError("old structure", got, "dry blocks")
+    names = [kind.name for kind in kit.kinds]
+    there = [block for block in old.finished.blocks if not block.support]
+    for block in there:
+        where = f"old structure: kind of block {block.id} (kit {kit.name})"
+        check_name(where, block.kind, names)
+    count = Counter(block.kind for block in there)
+    own = replace(kit, kinds=tuple(replace(k, count=count[k.name]) for k in kit.kinds))
+    same = replace(kit, kinds=tuple(k for k in kit.kinds if count[k.name]))
+    return [own, same, kit]
+
+
+def fewest_moved(old: Assembly, tried: list[Plan], seconds: float, progress: Progress) -> Plan:
+    """A structure turned into whichever plan takes the fewest moves."""
+    # Kits that differ often give the same blocks, of which the first plan is enough.
+    some: dict[object, Plan] = {}
+    for plan in [plan for plan in tried if plan.complete] or tried[-1:]:
+        blocks = () if plan.assembly is None else plan.assembly.blocks
+        placed = tuple((block.kind, block.vertices.tobytes()) for block in blocks)
+        some.setdefault((placed, plan.gap_range), plan)
+    plans = [*some.values()]
+    limit = seconds / len(plans)
+    found = [rebuild(old, plan, seconds=limit, progress=progress) for plan in plans]
+    return min(
+        found,
+        key=lambda plan: (not plan.complete, 0 if plan.rebuilt is None else plan.rebuilt.moves),
     )

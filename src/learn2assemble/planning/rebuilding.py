@@ -132,12 +132,12 @@ class _Beam:
         self._base = {n: {b for b in self.coming if n in change.above[b]} for n in self.coming}
         self._gone = {n: self._all_gone(n) for n in self.coming}
         self._stay = frozenset(np.flatnonzero(change.old).tolist()) - going
-        count = np.bincount
-        size = int(self.kind.max()) + 1
-        ours = count(self.kind[sorted(going)], minlength=size) if going else np.zeros(size, int)
-        theirs = count(self.kind[sorted(self.coming)], minlength=size) if self.coming else ours * 0
-        self._supply = np.maximum(theirs - ours, 0)
+        self._supply = np.maximum(self._count(self.coming) - self._count(going), 0)
         """Of each kind, what is missing in the old structure."""
+
+    def _count(self, blocks: frozenset[int]) -> np.ndarray:
+        """How many blocks of each kind."""
+        return np.bincount(self.kind[list(blocks)], minlength=int(self.kind.max()) + 1)
 
     def _all_gone(self, block: int) -> frozenset[int]:
         """What has to be gone before a block comes, with what lies on it, and for what it lies on,
@@ -190,15 +190,8 @@ class _Beam:
 
     def _options(self, order: _PartialOrder) -> Iterator[_PartialOrder]:
         change, there = self.change, self._there(order)
-        size = len(self._supply)
-        taken = sorted(self.going - order.going)
-        placed = sorted(self.coming - order.coming)
-        heap = (
-            self._supply + np.bincount(self.kind[taken], minlength=size)
-            if taken
-            else (self._supply.copy())
-        )
-        heap = heap - (np.bincount(self.kind[placed], minlength=size) if placed else 0)
+        taken, placed = self.going - order.going, self.coming - order.coming
+        heap = self._supply + self._count(taken) - self._count(placed)
         for n in order.coming:
             free = not self._first_gone[n] & order.going and not self._base[n] & order.coming
             free = free and not (change.overlaps[n] | change.above[n]) & there
@@ -228,11 +221,7 @@ class _Beam:
         step: Doing | None,
     ) -> _PartialOrder:
         """An order with the moves that it takes at least."""
-        size = len(self._supply)
-        ours = np.bincount(self.kind[sorted(going)], minlength=size) if going else 0 * self._supply
-        theirs = (
-            np.bincount(self.kind[sorted(coming)], minlength=size) if coming else 0 * self._supply
-        )
+        ours, theirs = self._count(going), self._count(coming)
         walls = [len(self._gone[n] & going) for n in coming]
         pairs = int(np.minimum(ours, theirs).sum())
         if hand >= 0 and theirs[hand] > 0 and (not walls or min(walls) == 0):
@@ -250,12 +239,11 @@ class _Beam:
         present = np.zeros(len(self.change.blocks), bool)
         present[list(self._there(order))] = True
         state = State(present, np.zeros(len(present), bool))
-        fixed, near = self.rules.site.fixed, self.rules.site.near[block]
         others = present.copy()
         others[block] = False
         if not self.rules.site.ways.free(block, others, sliding=False):
             return False
-        new = [block] if action == "place" else [n for n in near if present[n] and not fixed[n]]
+        new = [block] if action == "place" else self.rules.on(block, state)
         if self.rules.stands(state, new):
             return True
         falling |= set(self.rules.laws[-1].moving(state)) & self._stay

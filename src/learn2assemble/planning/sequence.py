@@ -18,6 +18,7 @@ from typing import Any, Generic, Literal, NamedTuple, Protocol, TypeVar
 from learn2assemble.assembly.blocks import Action as BlockAction
 from learn2assemble.assembly.blocks import Block
 from learn2assemble.assembly.hands import Hand
+from learn2assemble.errors import listed
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.crew import CrewOf, anybody
 from learn2assemble.progress import Detail
@@ -237,5 +238,4 @@ def held_at_once(steps: Sequence[Doing], number: int) -> Doing | None:
 
 def list_ids(blocks: Sequence[Block], some: Iterable[int]) -> str:
     """The ids of some blocks in words, the first four of them."""
-    ids = [blocks[k].id for k in some]
-    return ", ".join(ids[:4]) + (f" and {len(ids) - 4} more" if len(ids) > 4 else "")
+    return listed([blocks[k].id for k in some], 4)

@@ -21,6 +21,7 @@ from learn2assemble.geometry.hulls import cross_product
 from learn2assemble.robot.bodies import Shape, body_of
 from learn2assemble.robot.grasps import FIRST, MOST_TILT, UPRIGHT, Attitude, Lip, facing
 from learn2assemble.robot.studs import stud_axes
+from learn2assemble.values import three
 
 if TYPE_CHECKING:
     from learn2assemble.robot.arm import Arm
@@ -332,8 +333,7 @@ def _approaches(normal: np.ndarray, wanted: np.ndarray) -> list[np.ndarray]:
 
 
 def _tuple(vector: np.ndarray) -> tuple[float, float, float]:
-    x, y, z = (vector.round(12) + 0.0).tolist()
-    return x, y, z
+    return three((vector.round(12) + 0.0).tolist())
 
 
 # ---------------------------------------------------------------- what cannot be held

@@ -459,3 +459,21 @@ class Attempt(NamedTuple):
     @property
     def reached(self) -> bool:
         return self.outcome == Outcome.REACHED
+
+
+class Failure(Exception):
+    """What broke a pick and place off, or spoiled it.
+
+    Args:
+        outcome: its kind.
+        stage: one of :data:`learn2assemble.robot.moves.STAGES`, or ``rest`` once the arm is done.
+        detail: one line.
+    """
+
+    outcome: Outcome
+    stage: str
+    detail: str
+
+    def __init__(self, outcome: Outcome, stage: str, detail: str) -> None:
+        super().__init__(f"{outcome.label} ({stage}): {detail}")
+        self.outcome, self.stage, self.detail = outcome, stage, detail

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +46,10 @@ class StudJoint(NamedTuple):
     face: tuple[Point, Point]
     """Smallest and largest corner of where the two faces meet, from there [m]."""
     home: bool
+
+    def leaves(self, cells: Collection[int]) -> bool:
+        """Whether it joins one of some cells to another one."""
+        return (self.upper in cells) != (self.lower in cells)
 
 
 class Studs(NamedTuple):

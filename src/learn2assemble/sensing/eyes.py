@@ -16,7 +16,8 @@ import numpy as np
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
 from learn2assemble.motion.plant import (
     BlockReading,
-    Guard,
+    Commands,
+    Guards,
     Motion,
     Plant,
     PlantError,
@@ -24,7 +25,6 @@ from learn2assemble.motion.plant import (
     Report,
     Request,
     Stop,
-    ToolCommand,
     ToolReading,
     WrappedPlant,
 )
@@ -115,12 +115,7 @@ class SeeingPlant(WrappedPlant):
             return readings._replace(blocks=())
         return readings._replace(blocks=self.last[1])
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         report = self.plant.execute(motion, commands, guards)
         self._follow(report)

@@ -3,14 +3,14 @@
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
 from learn2assemble.motion.plant import (
-    Guard,
+    Commands,
+    Guards,
     Motion,
     Readings,
     Report,
@@ -22,7 +22,7 @@ from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.simulation.bench import Bench
 from learn2assemble.simulation.disturbances import Straying
 from learn2assemble.simulation.dynamic_world import DynamicWorld
-from learn2assemble.simulation.model import concerned
+from learn2assemble.simulation.objects import concerned
 from learn2assemble.simulation.simulation import NOBODY, Simulation
 from learn2assemble.simulation.things import check_motion, nearest
 
@@ -68,12 +68,7 @@ class ArmPlant:
         cell.take_poses()
         return cell.seen(sim.time, *self.measured(), self.bench.feel())._replace(arm=self.arm.name)
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         cell, sim = self.cell, self.bench.sim
         check_motion(self.arm, motion.joints, sim.joints)

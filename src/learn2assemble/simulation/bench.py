@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from learn2assemble.motion.plant import Guard, Motion, Report, Stop, ToolCommand, ToolReading
+from learn2assemble.motion.plant import Commands, Guard, Guards, Motion, Report, Stop, ToolReading
 from learn2assemble.motion.program import LOAD_TIME
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.moves import Outcome
+from learn2assemble.robot.moves import Failure, Outcome
 from learn2assemble.simulation.contacts import BLIND, Rules, Watch
-from learn2assemble.simulation.model import TIMESTEP, Failure
+from learn2assemble.simulation.model import TIMESTEP
 from learn2assemble.simulation.simulation import BLOCK, HOLDS, Simulation
 from learn2assemble.simulation.trajectory import PathSamples, load_ruckig
 
@@ -71,12 +71,7 @@ class Bench:
         grip = sim.contacts.grip()
         return ToolReading(width=float(sim.opening), grip=grip, force=push)
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         sim = self.sim
         first, begun, run = sim.samples(), sim.time, sampled(motion)
@@ -150,9 +145,7 @@ class Bench:
             run = PathSamples(np.zeros((BLOCK, 3)), told, *still)
             sim.play(run, 0, BLOCK, BLIND, np.full(BLOCK, sim.width))
 
-    def _told(
-        self, count: int, commands: Sequence[ToolCommand]
-    ) -> tuple[np.ndarray, np.ndarray | None]:
+    def _told(self, count: int, commands: Commands) -> tuple[np.ndarray, np.ndarray | None]:
         """Openings float64[count] [m] (or whether the vacuum is on) and loads [kg] of all steps."""
         sim, gripper = self.sim, self.sim.arm.gripper
         widths = np.full(count, sim.width)

@@ -17,24 +17,15 @@ from learn2assemble.errors import InputError
 from learn2assemble.geometry.hulls import Hull
 from learn2assemble.motion.plant import BlockReading, Readings, Report, Request
 from learn2assemble.robot.arm import Arm, Limits
-from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene
+from learn2assemble.robot.moves import Attempt, Failure, Move, Outcome, Scene
 from learn2assemble.robot.scene import rotation_matrix
 from learn2assemble.robot.studs import Studs
 from learn2assemble.simulation.bench import Bench
 from learn2assemble.simulation.clutch import Clutch
 from learn2assemble.simulation.contacts import BLIND
 from learn2assemble.simulation.execution import Execution, Rig, abandon
-from learn2assemble.simulation.model import (
-    TIMESTEP,
-    Failure,
-    Objects,
-    Order,
-    SimulatedWorld,
-    compile_world,
-    hold_still,
-    rigid_objects,
-    take_order,
-)
+from learn2assemble.simulation.model import TIMESTEP, SimulatedWorld, compile_world, hold_still
+from learn2assemble.simulation.objects import Objects, Order, rigid_objects, take_order
 from learn2assemble.simulation.prepare import prepare, require_held, rest_pose
 from learn2assemble.simulation.rest import ShiftRule, check_rest
 from learn2assemble.simulation.simulation import SimulatedState, Simulation, Trace

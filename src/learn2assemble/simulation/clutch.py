@@ -39,7 +39,8 @@ from learn2assemble.robot.scene import rotation_matrix
 from learn2assemble.robot.studs import GROUND, StudJoint, Studs
 
 if TYPE_CHECKING:
-    from learn2assemble.simulation.model import Objects, SimulatedWorld
+    from learn2assemble.simulation.model import SimulatedWorld
+    from learn2assemble.simulation.objects import Objects
 
 CAPTURE, CAPTURE_TURN = 0.0015, math.radians(3.0)
 """So far from its place a knob finds its hole [m], [rad]."""
@@ -201,10 +202,7 @@ class Clutch:
         """From now on an arm moves this object; none where the number is below 0."""
         own = set(np.flatnonzero(self._owner == target).tolist())
         self._wanted[who] = [
-            n
-            for n in self._slot
-            if not self.joints[n].home
-            and (self.joints[n].upper in own) != (self.joints[n].lower in own)
+            n for n in self._slot if self.joints[n].leaves(own) and not self.joints[n].home
         ]
 
     @property

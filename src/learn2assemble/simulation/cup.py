@@ -21,7 +21,8 @@ from learn2assemble.robot.holding import FACING
 from learn2assemble.robot.scene import rotation_matrix
 from learn2assemble.robot.studs import stud_axes
 from learn2assemble.robot.tool import Cup, Suction
-from learn2assemble.simulation.model import SHRINK, TIMESTEP, ArmParts, SimulatedWorld
+from learn2assemble.simulation.model import TIMESTEP, ArmParts, SimulatedWorld
+from learn2assemble.simulation.objects import SHRINK
 
 RIM = 16
 """Points at which the lip is looked at."""

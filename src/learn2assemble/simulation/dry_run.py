@@ -15,14 +15,16 @@ import numpy as np
 
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import cube_yaw, quaternion_matrix
-from learn2assemble.motion.program import LOAD_TIME, Blocks, Program, ProgramStep, left_alone
+from learn2assemble.motion.places import Blocks
+from learn2assemble.motion.program import LOAD_TIME, Program, ProgramStep
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.grasps import Attitude, facing
-from learn2assemble.robot.moves import Move, Scene
+from learn2assemble.robot.moves import Failure, Move, Scene
 from learn2assemble.robot.studs import GROUND, Studs
 from learn2assemble.simulation.cell import REST_TIME, DynamicCell, clutch_of
 from learn2assemble.simulation.contacts import BLIND, PUSH, Rules, Watch
-from learn2assemble.simulation.model import TIMESTEP, Failure, rigid_objects
+from learn2assemble.simulation.model import TIMESTEP
+from learn2assemble.simulation.objects import rigid_objects
 from learn2assemble.simulation.simulation import SimulatedState, Simulation, Trace
 from learn2assemble.simulation.trajectory import PathSamples
 
@@ -38,7 +40,7 @@ class DryRun(NamedTuple):
     """What came of a program that was played without looking."""
 
     poses: np.ndarray
-    """float64[C, 7] of all cells at the end, as in :class:`Blocks`."""
+    """float64[C, 7] of all cells at the end, as in :class:`~.places.Blocks`."""
     error: np.ndarray
     """float64[C]: distance of each cell from where the program says it ends [m]."""
     seconds: float
@@ -119,7 +121,7 @@ def play(program: Program, arm: Arm) -> DryRun:
             poses[list(present.cells)] = present.poses
     error = np.linalg.norm(poses[:, :3] - blocks.end[:, :3], axis=1)
     names = tuple(map(blocks.name, range(len(poses))))
-    brought = left_alone(program) if program.of_two else 0
+    brought = _left_alone(program) if program.of_two else 0
     return DryRun(poses, error, program.seconds, fault, names, brought)
 
 
@@ -267,3 +269,10 @@ def _driven(program: Program, arm: Arm, time: np.ndarray) -> _Told:
         told = np.array([state.vacuum for state in program.states], float)
         told = told[program.states_at(time)]
     return _Told(told, loads, pushes, opens)
+
+
+def _left_alone(program: Program) -> int:
+    """How many objects stand there at the end that no step moves."""
+    moved, end = {cell for step in program.steps for cell in step.cells}, program.blocks.end
+    others = (cells for cells in program.blocks.objects if not moved.intersection(cells))
+    return sum(bool(end[cells[0], 2] >= 0) for cells in others)

@@ -24,7 +24,8 @@ from learn2assemble.simulation.cell import WorldForces, Worlds
 from learn2assemble.simulation.clock import SharedClock
 from learn2assemble.simulation.clutch import NOTHING_MADE, Clutch, Made
 from learn2assemble.simulation.contacts import BLIND
-from learn2assemble.simulation.model import SHRINK, TIMESTEP, Objects, group
+from learn2assemble.simulation.model import TIMESTEP
+from learn2assemble.simulation.objects import SHRINK, Objects, group
 from learn2assemble.simulation.simulation import NOBODY, SimulatedState
 from learn2assemble.simulation.things import SimulatedCell
 
@@ -39,8 +40,8 @@ MOVING = 1e-3
 """What moves faster stays free [m/s], [rad/s]."""
 THINNER = 0.0
 """How much thinner boxes are on their upright sides [m]. Bricks that clutch are so by what is left
-free between them, and what simulated fingers hold by :data:`~.model.SHRINK`: it drifts in the hand
-by as much as a joint is wide."""
+free between them, and what simulated fingers hold by :data:`~.objects.SHRINK`: it drifts in the
+hand by as much as a joint is wide."""
 OBSTACLE = "an obstacle"
 
 

@@ -30,14 +30,10 @@ from learn2assemble.robot.arm import Arm, Limits
 from learn2assemble.robot.grasps import facing
 from learn2assemble.robot.joint_path import JointPath, joint_path
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.moves import STAGES, Outcome, carried
+from learn2assemble.robot.moves import STAGES, Failure, Outcome, carried
 from learn2assemble.simulation.load import hanging, peak_load
-from learn2assemble.simulation.model import (
-    TIMESTEP,
-    Failure,
-    Order,
-    SimulatedWorld,
-)
+from learn2assemble.simulation.model import TIMESTEP, SimulatedWorld
+from learn2assemble.simulation.objects import Order
 from learn2assemble.simulation.prepare import Course, leaving, rest_pose
 from learn2assemble.simulation.trajectory import (
     PathLimits,
@@ -544,10 +540,7 @@ class Execution:
         if studs is None:
             return 0.0
         own = set(self.order.scene.members(move.cell).tolist())
-        wanted = any(
-            not joint.home and (joint.upper in own) != (joint.lower in own)
-            for joint in studs.joints
-        )
+        wanted = any(joint.leaves(own) and not joint.home for joint in studs.joints)
         return studs.press if wanted else 0.0
 
     def release(self, stage: str, guard: Guard) -> None:

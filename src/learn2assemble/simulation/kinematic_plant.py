@@ -4,7 +4,7 @@ weighs anything, and nothing gives way."""
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,8 @@ import numpy as np
 from learn2assemble.geometry.hulls import separation
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
 from learn2assemble.motion.plant import (
-    Guard,
+    Commands,
+    Guards,
     Motion,
     Played,
     Readings,
@@ -63,12 +64,7 @@ class KinematicPlant(SimulatedCell):
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         return self.seen(self.time, self.joints.copy(), np.zeros_like(self.joints), self._feel())
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         check_motion(self.arm, motion.joints, self.joints)
         moves = bool(len(motion.joints) and np.ptp(motion.joints, axis=0).any())

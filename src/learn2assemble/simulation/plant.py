@@ -5,12 +5,11 @@ It holds what is really the case and gives away readings.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from learn2assemble.motion.plant import Guard, Motion, Plant, Readings, Report, ToolCommand
+from learn2assemble.motion.plant import Commands, Guards, Motion, Plant, Readings, Report
 from learn2assemble.motion.setup import Setup
 from learn2assemble.registry import Registry
 from learn2assemble.simulation.arm_plant import ArmPlant
@@ -79,12 +78,7 @@ class DynamicPlant(DynamicWorld):
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         return self.plants[0].sense()
 
-    def execute(
-        self,
-        motion: Motion,
-        commands: Sequence[ToolCommand] = (),
-        guards: Sequence[Guard] = (),
-    ) -> Report:
+    def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         return self.plants[0].execute(motion, commands, guards)
 

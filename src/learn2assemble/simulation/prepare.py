@@ -19,8 +19,9 @@ from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.moves import LEVEL, Move, Outcome, Scene, overload, turned, turns
-from learn2assemble.simulation.model import PRESS, Failure, Order, SimulatedWorld
+from learn2assemble.robot.moves import LEVEL, Failure, Move, Outcome, Scene, overload, turned, turns
+from learn2assemble.simulation.model import SimulatedWorld
+from learn2assemble.simulation.objects import PRESS, Order
 from learn2assemble.simulation.ways import KEEP, WorldChecker, free_way
 
 STRAIGHT = 0.015

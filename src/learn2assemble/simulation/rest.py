@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learn2assemble.robot.moves import Outcome, carried
+from learn2assemble.robot.moves import Failure, Outcome, carried
 from learn2assemble.robot.scene import rotation_matrix
-from learn2assemble.simulation.model import Failure, Order
+from learn2assemble.simulation.objects import Order
 
 PLACE_LIMIT = 0.01
 """The object was dropped when a cell ends so far from where it was ordered [m]."""

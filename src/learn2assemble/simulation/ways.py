@@ -10,10 +10,10 @@ import mujoco
 import numpy as np
 
 from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.collisions import Collision, CollisionChecker
 from learn2assemble.robot.inverse import solve
-from learn2assemble.robot.kinematic import Collision, CollisionChecker
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.moves import Outcome
+from learn2assemble.robot.moves import Failure, Outcome
 from learn2assemble.simulation.model import (
     ARM,
     LOOK,
@@ -21,7 +21,6 @@ from learn2assemble.simulation.model import (
     PLAN_MARGIN,
     TABLE,
     ArmParts,
-    Failure,
     SimulatedWorld,
     set_held,
 )

@@ -23,7 +23,7 @@ from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import Learn2AssembleError
 from learn2assemble.geometry.circles import inner_circle
 from learn2assemble.geometry.hulls import cross_product
-from learn2assemble.linear_programs import INF, Clock
+from learn2assemble.linear_programs import INF, Clock, pass_columns
 from learn2assemble.statics.hands import NO_HANDS, HeldBlock, held_blocks, held_meanwhile
 from learn2assemble.statics.holding_forces import Columns, Forces, forces_of, joined
 from learn2assemble.statics.holding_solver import (
@@ -39,7 +39,6 @@ from learn2assemble.statics.holding_start import first_basis
 
 MOST_G = 10.0
 """Margins are cut here [g]."""
-_COLUMNWISE = int(highspy.MatrixFormat.kColwise)
 _MANY = 300
 """Blocks from which one state alone is answered by a method of interior points."""
 _CLOSE = 1e-3
@@ -123,38 +122,21 @@ class Balance:
         self._both = matrix
         self.bodies: tuple[np.ndarray, np.ndarray] = columns.a, columns.b
         self.pull_bodies: tuple[np.ndarray, np.ndarray] = forces.preload.a, forces.preload.b
-        rows = 6 * self.count
-        self._last = np.bincount(matrix.indices[first:], matrix.data[first:], rows)
+        self._last = np.bincount(matrix.indices[first:], matrix.data[first:], 6 * self.count)
         filled = np.flatnonzero(self._last)
-        start = np.append(matrix.indptr[: n + 1], first + len(filled)).astype(np.int32)
-        index = np.concatenate([matrix.indices[:first], filled]).astype(np.int32)
+        start = np.append(matrix.indptr[: n + 1], first + len(filled))
+        index = np.concatenate([matrix.indices[:first], filled])
         value = np.concatenate([matrix.data[:first], self._last[filled]])
         self._solver = solver = new_solver(self.count)
         self._lower = np.append(columns.lower / self.unit, 0.0)
         self._upper = np.append(columns.upper / self.unit, np.inf)
-        load = self._load(np.zeros(self.count), None)
-        cost = np.zeros(n + 1)
-        cost[n] = 1.0
+        load = self._load()
+        cost = np.append(np.zeros(n), 1.0)
         self._present = np.ones(self.count, bool)
         self._free = ~self.fixed
         low, high = self._row_bounds(load, self._free)
-        status = solver.passModel(
-            n + 1,
-            rows,
-            len(value),
-            _COLUMNWISE,
-            int(highspy.ObjSense.kMinimize),
-            0.0,
-            cost,
-            self._lower,
-            self._upper,
-            low,
-            high,
-            start,
-            index,
-            value,
-            np.zeros(n + 1, np.int32),
-        )
+        bounds = self._lower, self._upper
+        status = pass_columns(solver, cost, bounds, (low, high), (start, index, value))
         if status == highspy.HighsStatus.kError:
             raise Learn2AssembleError("balance: the solver refused the matrix")
         self._load_now = load
@@ -197,17 +179,11 @@ class Balance:
         start = np.append(0, there.sum((1, 2)).cumsum())
         return sp.csc_matrix((wrench[there], row, start), (6 * self.count, len(body)))
 
-    def _load(self, push: np.ndarray, sideways: np.ndarray | None) -> np.ndarray:
-        """float64[6 count]: what forces have to balance, in mean weights.
-
-        Args:
-            push: float64[count], further forces down on blocks [N].
-            sideways: float64[2], horizontal acceleration of all blocks [g].
-        """
+    def _load(self, push: np.ndarray | None = None) -> np.ndarray:
+        """float64[6 count]: what forces have to balance, in mean weights, with further forces down
+        on blocks float64[count] [N]."""
         load = np.zeros((self.count, 6))
-        load[:, 2] = (self.weight + push) / self.unit
-        if sideways is not None:
-            load[:, :2] = self.weight[:, None] * sideways / self.unit
+        load[:, 2] = (self.weight if push is None else self.weight + push) / self.unit
         return load.reshape(-1)
 
     def _unheld(
@@ -301,7 +277,7 @@ class Balance:
         """
         there = np.ones(self.count, bool) if present is None else present
         free = self._unheld(there, held, hands)
-        load = self._load(np.zeros(self.count) if push is None else push, None)
+        load = self._load(push)
         self._set(there, free, load)
         if self.count > _MANY and not self._started and not hands:
             found = self._by_cones(load, there, free)
@@ -315,14 +291,12 @@ class Balance:
             fits, x = self._run()
         if not fits:
             return Need(np.inf, x[: self._width])
-        share = float(max(x[self._width], 0.0))
-        return Need(share, x[: self._width] * self.unit)
+        return Need(float(max(x[self._width], 0.0)), x[: self._width] * self.unit)
 
     def _begin(self, there: np.ndarray, free: np.ndarray) -> None:
         """Give the solver forces to begin from, where such are known."""
-        if not there.all():
-            return
-        found = first_basis(self.columns, self.weight, self._centre, free)
+        known = self.columns, self.weight, self._centre
+        found = first_basis(*known, free) if there.all() else None
         if found is None:
             return
         basic, rows = found
@@ -374,7 +348,7 @@ class Balance:
     def pushed(self, push: Push | None) -> np.ndarray:
         """float64[6 count]: what forces have to balance while something pushes a block, in mean
         weights."""
-        load = self._load(np.zeros(self.count), None)
+        load = self._load()
         if push is not None:
             arm = np.array(push.at) - self._centre[push.block, :2]
             wrench = push.force / self.unit * np.array([1.0, *(arm[::-1] / self._length)])
@@ -429,7 +403,7 @@ class Balance:
     def _margin_g(self, there: np.ndarray, free: np.ndarray) -> float:
         """The same, once the hands are in the program."""
         self._aim(True)
-        self._set(there, free, self._load(np.zeros(self.count), None))
+        self._set(there, free, self._load())
         solver, width = self._solver, self._width
         pulling = self.on(self.pull_bodies, there).astype(float)
         offset = self.pulls @ pulling  # The whole strength is there.
@@ -493,7 +467,7 @@ class Balance:
         rows = np.flatnonzero(np.repeat(free, 6))
         on = np.flatnonzero(self.on(self.bodies, there))
         pulling = self.on(self.pull_bodies, there).astype(float)
-        load = self._load(np.zeros(self.count), None) - self.pulls @ pulling
+        load = self._load() - self.pulls @ pulling
         matrix = self.wrench
         if len(rows) < 6 * self.count or len(on) < self._width:
             matrix = matrix[rows][:, on]
@@ -505,23 +479,8 @@ class Balance:
         cost = np.concatenate([np.zeros(n), np.ones(2 * m)])
         lower = np.concatenate([self._lower[on], np.zeros(2 * m)])
         upper = np.concatenate([self._upper[on], np.full(2 * m, np.inf)])
-        solver.passModel(
-            n + 2 * m,
-            m,
-            len(filled),
-            _COLUMNWISE,
-            int(highspy.ObjSense.kMinimize),
-            0.0,
-            cost,
-            lower,
-            upper,
-            load[rows],
-            load[rows],
-            start.astype(np.int32),
-            index.astype(np.int32),
-            filled,
-            np.zeros(n + 2 * m, np.int32),
-        )
+        least = load[rows]
+        pass_columns(solver, cost, (lower, upper), (least, least), (start, index, filled))
         number = np.cumsum(free) - 1
         some = [one._replace(body=int(number[one.body])) for one in self._held(hands, free)]
         with held_meanwhile(solver, some, int(free.sum())):

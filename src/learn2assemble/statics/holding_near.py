@@ -20,9 +20,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
+from learn2assemble.assembly.bricks.mates import hanging
 from learn2assemble.statics.block_factors import Factors, Springs, sides_of
 from learn2assemble.statics.holding import Balance, Need, Push
 from learn2assemble.statics.holding_forces import Forces
@@ -262,19 +261,9 @@ class NearForces:
             gone += 1
             if gone == _OPEN * 3 // 4:
                 break
-        lower &= ~self._loose(lower, held)
+        still = self.balance.fixed | held
+        lower &= ~hanging(self._pairs[0], self._pairs[1], lower, still)
         return lower if int((present & ~lower).sum()) <= _OPEN else None
-
-    def _loose(self, present: np.ndarray, held: np.ndarray) -> np.ndarray:
-        """bool[count]: bricks that hang on nothing that stands."""
-        count, (a, b) = len(present), self._pairs
-        on = present[b] & ((a < 0) | present[a])
-        still = np.flatnonzero(present & (self.balance.fixed | held))
-        first = np.concatenate([np.where(a[on] < 0, count, a[on]), np.full(len(still), count)])
-        pair = first, np.concatenate([b[on], still])
-        graph = sp.coo_matrix((np.ones(len(first)), pair), (count + 1, count + 1))
-        piece = connected_components(graph, directed=False)[1]
-        return present & (piece[:-1] != piece[-1])
 
     def _elastic(
         self, present: np.ndarray, held: np.ndarray, thorough: bool = False

@@ -7,6 +7,7 @@ what their strength allows (:mod:`.holding`).
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple, Protocol
 
@@ -78,6 +79,39 @@ class Law(Protocol):
     def falls(self, state: State) -> bool:
         """Whether no forces balance a state: it falls for certain."""
         ...
+
+
+class Proven:
+    """States that are proven by one of some laws, remembered.
+
+    Args:
+        laws: what may carry a state, asked in this order.
+    """
+
+    def __init__(self, laws: Sequence[Law]) -> None:
+        self.laws: Sequence[Law] = laws
+        self.known: dict[bytes, tuple[int, int | None]] = {}
+        """Of a state, the last law that was asked, and by which it stands."""
+
+    def law(self, state: State, most: int | None = None) -> int | None:
+        """The number of the first law by which a state stands, or None.
+
+        Args:
+            most: laws behind this one are not asked, and others give up early.
+        """
+        last = len(self.laws) - 1 if most is None else most
+        asked, found = self.known.get(state.key, (-1, None))
+        for number in range(asked + 1, last + 1):
+            if found is None and self.laws[number].stands(state, most is None):
+                found = number
+        if most is None or found is not None:
+            self.known[state.key] = last, found
+        return found
+
+    def stands(self, state: State, new: Iterable[int] = (), most: int | None = None) -> bool:
+        """Whether a state is proven, and its ``new`` blocks rest in it; ``most`` as in law."""
+        number = self.law(state, most)
+        return number is not None and all(self.laws[number].rests(state, b) for b in new)
 
 
 class ByForces:

@@ -51,6 +51,11 @@ TOLERANCE = 1e-7
 """Largest imbalance of a proof, in weights of the heaviest block (and of the pitch)."""
 
 
+_Array = np.ndarray
+StackArrays = tuple[_Array, _Array, _Array, _Array, _Array, _Array, _Array, _Array]
+"""Weights, centres, points, blocks above and below them, shares, starts and ranks of a stack."""
+
+
 @dataclass(frozen=True)
 class Stack:
     """Blocks and the corners of the bed joints between them."""
@@ -73,6 +78,12 @@ class Stack:
     """int64[n]: every block has a larger rank than those it rests on."""
     cell: np.ndarray
     """float64[2]: width and depth of a lattice cell [m]."""
+
+    @property
+    def arrays(self) -> StackArrays:
+        """Its fields without the size of a cell."""
+        one = self.weight, self.centre, self.point, self.upper
+        return (*one, self.lower, self.share, self.start, self.rank)
 
     @cached_property
     def pitch(self) -> float:
@@ -417,18 +428,9 @@ def _order(rank: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @kernel
-def load_at_rest(
-    weight: np.ndarray,
-    centre: np.ndarray,
-    point: np.ndarray,
-    upper: np.ndarray,
-    lower: np.ndarray,
-    share: np.ndarray,
-    start: np.ndarray,
-    rank: np.ndarray,
-    unit: float,
-) -> StackLoad:
+def load_at_rest(stack: StackArrays, unit: float) -> StackLoad:
     """The load of a :class:`Stack` with these arrays and no acceleration, within a kernel."""
+    weight, centre, point, upper, lower, share, start, rank = stack
     px, py = _sheared(point, 0.0, 0.0)
     cx, cy = _sheared(centre, 0.0, 0.0)
     above, above_start = _above(lower, len(weight))

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from learn2assemble.kernels import kernel
+from learn2assemble.planning.tiling.laying import SiteArrays, WorldArrays
 from learn2assemble.planning.tiling.world import LatticeWorld
 
 DEPTH = 5
@@ -87,35 +88,16 @@ def describe(world: LatticeWorld, candidates: np.ndarray) -> tuple[np.ndarray, n
     sizes = np.array([len(kind.cells) for kind in site.kit.kinds])
     heap = np.empty((len(sizes), 6))
     built = np.array([world.open, len(world.placed), len(candidates)])
-    lowest = _sum_up(
-        summary,
-        heap,
-        site.wanted,
-        world.owner,
-        world.cover,
-        world.alive,
-        site.kind,
-        world.heap,
-        sizes,
-        built,
-    )
+    lowest = _sum_up(summary, heap, site.wanted, site.kind, world.arrays, sizes, built)
     last = found.origin[world.placed[-1]] if world.placed else np.full(3, -1)
     _describe(
         out,
         candidates,
-        found.way,
-        site.kind,
-        found.origin,
-        found.start,
-        found.cell,
+        site.arrays,
+        world.arrays,
         found.support,
         found.hanging,
         site.wanted,
-        world.owner,
-        world.cover,
-        world.alive,
-        site.over_start,
-        site.over,
         heap,
         lowest,
         last,
@@ -128,11 +110,8 @@ def _sum_up(
     out: np.ndarray,
     table: np.ndarray,
     wanted: np.ndarray,
-    owner: np.ndarray,
-    cover: np.ndarray,
-    alive: np.ndarray,
     kind: np.ndarray,
-    heap: np.ndarray,
+    world: WorldArrays,
     sizes: np.ndarray,
     built: np.ndarray,
 ) -> int:
@@ -141,12 +120,12 @@ def _sum_up(
     Args:
         out: float32[NUM_SUMMARY], zeros.
         table: float64[kinds, 6]: what a candidate shows of the heap of its kind.
-        heap: int64[kinds]: blocks left, negative where there is no limit.
         sizes: int64[kinds] [cells].
         built: how many cells are open, blocks are placed and candidates are offered.
     """
     size_x, size_y, size_z = wanted.shape
     open_, placed, offered = built
+    owner, cover, alive, heap = world.owner, world.cover, world.alive, world.heap
     lowest, total, open_count = size_z, 0, 0
     few = np.zeros(5, np.int64)  # Open cells that so many candidates fill.
     cell = 0
@@ -212,24 +191,19 @@ def _sum_up(
 def _describe(
     out: np.ndarray,
     candidates: np.ndarray,
-    way: np.ndarray,
-    kind: np.ndarray,
-    origin: np.ndarray,
-    start: np.ndarray,
-    cell: np.ndarray,
+    site: SiteArrays,
+    world: WorldArrays,
     support: np.ndarray,
     hanging: np.ndarray,
     wanted: np.ndarray,
-    owner: np.ndarray,
-    cover: np.ndarray,
-    alive: np.ndarray,
-    over_start: np.ndarray,
-    over: np.ndarray,
     heap: np.ndarray,
     lowest: int,
     last: np.ndarray,
 ) -> None:
     size_x, size_y, size_z = wanted.shape
+    kind, origin, start, cell = site.kind, site.origin, site.start, site.cell
+    over_start, over = site.over_start, site.over
+    owner, cover, alive = world.owner, world.cover, world.alive
     lost = np.zeros(len(cover), np.int64)
     seen = np.full(len(alive), -1)
     touched = np.empty(len(cover), np.int64)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.design.goals import FORMAT, VERSION, Goals, parse_goals
-from learn2assemble.errors import InputError, look_up
+from learn2assemble.errors import look_up
 
 EDGE, CLEAR = 0.05, 0.003
 """Of a cell, and how far obstacles stay inside theirs, so that an arm passes them [m]."""
@@ -217,14 +217,6 @@ def draw(family: str, seed: int, spatial: bool = False) -> Json:
 
 def _new_draft(rng: np.random.Generator, spatial: bool) -> _Draft:
     return _Draft(rng, *((10, 5, 6) if spatial else (14, 1, 8)))
-
-
-def draw_goals(family: str, seed: int, spatial: bool = False) -> Goals | None:
-    """The goals of a family and a seed; None where they contradict one another."""
-    try:
-        return parse_goals(draw(family, seed, spatial), "task")
-    except InputError:
-        return None
 
 
 # ---------------------------------------------------------------- fixed tasks

@@ -75,6 +75,11 @@ class StepArrays(NamedTuple):
     """int64[3, B]: plane-filtered cover before; rows still to be judged; rows that were."""
 
 
+Rules = tuple[ActionSpec, bool, bool, np.ndarray, DepthFilter, int, float]
+"""What :func:`advance` is told besides the state: actions, whether blocks are cubes and compiled
+rules decide, frames, filter, reward, threshold."""
+
+
 def step_arrays(batch: int) -> StepArrays:
     """Nothing has flags yet."""
     return StepArrays(
@@ -115,19 +120,10 @@ def _propose(state: State, actions: np.ndarray, spec: ActionSpec, previous: np.n
 
 @kernel
 def _score(
-    state: State,
-    rows: np.ndarray,
-    verdict: np.ndarray,
-    frames: np.ndarray,
-    depths: DepthFilter,
-    previous: np.ndarray,
-    recompute: bool,
-    kind: int,
-    threshold: float,
-    reward: np.ndarray,
-    ended: np.ndarray,
-    success: np.ndarray,
+    state: State, rows: np.ndarray, rules: Rules, arrays: StepArrays, recompute: bool
 ) -> None:
+    _, _, _, frames, depths, kind, threshold = rules
+    reward, (ended, success), verdict, (previous, _, _) = arrays
     for row in rows:
         if recompute:
             recover_all(state, row, frames, depths)
@@ -142,21 +138,7 @@ def _score(
 
 
 @kernel
-def advance(
-    state: State,
-    actions: np.ndarray,
-    spec: ActionSpec,
-    cubes: bool,
-    decide: bool,
-    frames: np.ndarray,
-    depths: DepthFilter,
-    kind: int,
-    threshold: float,
-    reward: np.ndarray,
-    flags: np.ndarray,
-    verdict: np.ndarray,
-    rows: np.ndarray,
-) -> int:
+def advance(state: State, actions: np.ndarray, rules: Rules, arrays: StepArrays) -> int:
     """Put one object into every row that has not ended.
 
     One call, as handing the state to compiled code costs as much as a step of one world. Where the
@@ -164,11 +146,12 @@ def advance(
     pending, and their number is returned.
 
     Args:
-        spec, cubes, decide, frames, depths, kind, threshold: :attr:`Simulator.rules`.
-        reward, flags, verdict, rows: a :class:`StepArrays`.
+        rules: :attr:`Simulator.rules`.
+        arrays: what it writes into.
     """
-    ended, success = flags
-    previous, pending, scored = rows
+    spec, cubes, decide, _, _, _, _ = rules
+    verdict = arrays.verdict
+    previous, pending, scored = arrays.rows
     if cubes:
         _propose_cubes(state, actions, len(spec.turns), spec.pitch, previous)
     else:
@@ -184,20 +167,7 @@ def advance(
             else:
                 scored[judged] = row
                 judged += 1
-    _score(
-        state,
-        scored[:judged],
-        verdict,
-        frames,
-        depths,
-        previous,
-        False,
-        kind,
-        threshold,
-        reward,
-        ended,
-        success,
-    )
+    _score(state, scored[:judged], rules, arrays, False)
     return left
 
 
@@ -254,7 +224,7 @@ class Simulator:
         )
         self.decides: bool = type(self.physics) is StaticPhysics
         """Whether the compiled rules decide, where they can."""
-        self.rules: tuple[ActionSpec, bool, bool, np.ndarray, DepthFilter, int, float] = (
+        self.rules: Rules = (
             self.action_spec,
             task.objects == "cubes",
             self.decides,
@@ -263,7 +233,6 @@ class Simulator:
             REWARDS[task.reward],
             task.success_threshold,
         )
-        """What :func:`advance` is told besides the state."""
 
     def empty(self, batch: int) -> State:
         """A state for ``batch`` worlds; reset its rows before use."""
@@ -307,19 +276,16 @@ class Simulator:
         if not self.decides:
             self.physics.prepare(state, np.flatnonzero(~state.terminated), actions)
         arrays = step_arrays(state.batch_size)
-        return self.finish(state, arrays, advance(state, actions, *self.rules, *arrays))
+        return self.finish(state, arrays, advance(state, actions, self.rules, arrays))
 
     def finish(self, state: State, arrays: StepArrays, left: int) -> WorldTransition:
         """What a step did, once the physics has judged those rows that :func:`advance` left."""
         reward, flags, verdict, scratch = arrays
-        ended, success = flags[0], flags[1]
         if left or not self.decides:
-            previous, rows = scratch[0], scratch[1, :left]
-            _, _, _, frames, depths, kind, threshold = self.rules
+            rows = scratch[1, :left]
             verdict[rows] = self.physics.settle(state, rows)
-            moves, results = self.physics.moves_blocks, (reward, ended, success)
-            _score(state, rows, verdict, frames, depths, previous, moves, kind, threshold, *results)
-        return WorldTransition(reward, ended, success, verdict)
+            _score(state, rows, self.rules, arrays, self.physics.moves_blocks)
+        return WorldTransition(reward, flags[0], flags[1], verdict)
 
     def random_actions(self, state: State, rng: np.random.Generator) -> np.ndarray:
         """A uniform legal action for every row: int64[B, 3]."""

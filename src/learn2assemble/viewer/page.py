@@ -19,7 +19,7 @@ from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.assembly.instruction_words import count_words, length_words, reading_words
 from learn2assemble.assembly.instructions import Instructions, instructions
 from learn2assemble.constants import GRAVITY
-from learn2assemble.errors import InputError, as_both
+from learn2assemble.errors import InputError, as_both, listed
 from learn2assemble.files import write_file
 from learn2assemble.planning.plan import LARGEST, Plan
 from learn2assemble.viewer import scene, tables
@@ -316,8 +316,7 @@ def _blame_sentences(plan: Plan | None) -> list[str]:
     """Which cells are marked, in words."""
     found = list[str]()
     for group in plan.blamed if plan is not None else ():
-        named = ", ".join(map(str, group.cells[:_LISTED]))
-        named += f" and {len(group.cells) - _LISTED} more" * (len(group.cells) > _LISTED)
+        named = listed(group.cells, _LISTED)
         found.append(
             f"Marked red in the picture: {count_words(len(group.cells), 'cell')} "
             f"{BLAME_WORDS[group.why]}: {named}, counted from 0 to the right, to the back and up."

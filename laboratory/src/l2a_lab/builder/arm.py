@@ -121,7 +121,7 @@ class Hand:
         """Make ready for the candidates of a site whose kinds wait somewhere."""
         assert self.job is not None
         job, self.site = self.job, site
-        self.cell = KinematicCell(job.arm, 1)
+        self.cell = KinematicCell(job.arm)
         ways = [(site.kit.kinds[way.kind].name, way.turn) for way in site.found.ways]
         self.pieces = with_rests(_pieces(site.kit, ways, site.wanted), job.arm)
         """Of every way to put down a block, at the corner of the design."""

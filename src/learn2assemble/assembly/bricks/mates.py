@@ -88,7 +88,7 @@ class BrickMates:
             self.lower[b].append(a)
             if a != GROUND:
                 self.upper[a].append(b)
-        self._pairs = np.where(clutches.lower == GROUND, count, clutches.lower), clutches.upper
+        self._pairs = clutches.lower, clutches.upper
         self.based: np.ndarray = np.array([GROUND in lower for lower in self.lower])
         low, high = lattice.low, lattice.high
         meet = (low[:, None, :2] < high[None, :, :2]).all(2)
@@ -117,15 +117,8 @@ class BrickMates:
             present: bool[B], bricks that are there.
             held: bool[B], those that hands hold.
         """
-        a, b = self._pairs
-        on = present[b] & ((a == self.count) | present[np.minimum(a, self.count - 1)])
-        still = present & (self.fixed if held is None else self.fixed | held)
-        first = np.concatenate([a[on], np.full(still.sum(), self.count)])
-        last = np.concatenate([b[on], np.flatnonzero(still)])
-        size = self.count + 1
-        graph = sp.coo_matrix((np.ones(len(first)), (first, last)), (size, size))
-        piece = connected_components(graph, directed=False)[1]
-        return np.flatnonzero(present & (piece[:-1] != piece[-1]))
+        still = self.fixed if held is None else self.fixed | held
+        return np.flatnonzero(hanging(*self._pairs, present, still))
 
     def meets(self, brick: int, present: np.ndarray, below: bool = False) -> list[int]:
         """What is there of what a brick is pressed on, or from below on its own knobs."""
@@ -149,6 +142,26 @@ class BrickMates:
     def middle(self, brick: int) -> tuple[float, float]:
         """Of a brick, x and y [m]."""
         return _rounded(self._centre[brick])
+
+
+def hanging(
+    lower: np.ndarray, upper: np.ndarray, present: np.ndarray, still: np.ndarray
+) -> np.ndarray:
+    """bool[B]: bricks that hang on nothing that stands.
+
+    Args:
+        lower, upper: int64[k], the two of every joint; lower below 0 is the ground.
+        present: bool[B], bricks that are there.
+        still: bool[B], those that stand by themselves, where they are there.
+    """
+    count = len(present)
+    on = present[upper] & ((lower < 0) | present[lower])
+    stand = np.flatnonzero(present & still)
+    first = np.concatenate([np.where(lower < 0, count, lower)[on], np.full(len(stand), count)])
+    pair = first, np.concatenate([upper[on], stand])
+    graph = sp.coo_matrix((np.ones(len(first)), pair), (count + 1, count + 1))
+    piece = connected_components(graph, directed=False)[1]
+    return present & (piece[:-1] != piece[-1])
 
 
 def _rounded(at: np.ndarray) -> tuple[float, float]:

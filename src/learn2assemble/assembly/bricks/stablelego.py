@@ -28,7 +28,6 @@ _LIBRARY = {
     "12": (2, 2, None),
 }
 """Of StableLego: extents across and along, and the mass [kg] of the one that is a weight."""
-_BRICK = ("size", "at", "mass")
 
 
 def is_stablelego(document: Mapping[str, Any]) -> bool:

@@ -9,7 +9,7 @@ from learn2assemble.kernels import kernel
 from learn2assemble.planning.tiling.candidates import BlockPlacement, placement_cells
 from learn2assemble.planning.tiling.tile import owners
 from learn2assemble.planning.tiling.ways import convex_hull, hull_of_boxes
-from learn2assemble.statics.step_proof import EDGE_INSET, Stack, ranks
+from learn2assemble.statics.step_proof import EDGE_INSET, Stack, StackArrays, ranks
 
 
 def find_stack(
@@ -108,18 +108,6 @@ def block_masses(
 
 
 # ---------------------------------------------------------------- one block more
-
-StackArrays = tuple[
-    np.ndarray,
-    np.ndarray,
-    np.ndarray,
-    np.ndarray,
-    np.ndarray,
-    np.ndarray,
-    np.ndarray,
-    np.ndarray,
-]
-"""Weights, centres, points, blocks above and below them, shares, starts and ranks of a stack."""
 
 
 @kernel

@@ -18,23 +18,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from learn2assemble.assembly.kit import Cell, Kit, orientations
-from learn2assemble.kernels import kernel
 from learn2assemble.planning.tiling.candidates import (
     BlockPlacement,
     Candidates,
     find_candidates,
 )
+from learn2assemble.planning.tiling.laying import SiteArrays, WorldArrays, fill, lay, pack, run_out
 from learn2assemble.planning.tiling.props import FIRM, choose_props
-from learn2assemble.planning.tiling.stack import StackArrays, block_masses, find_stack, grow_stack
+from learn2assemble.planning.tiling.stack import block_masses, find_stack, grow_stack
 from learn2assemble.planning.tiling.tile import Tiling, check_cells
-from learn2assemble.statics.local_proof import settle
-from learn2assemble.statics.step_proof import EDGE_INSET, Proof, Stack, lies_below, load_at_rest
+from learn2assemble.statics.step_proof import EDGE_INSET, Proof, Stack, lies_below
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,7 +230,7 @@ class LatticeWorld:
         """Number of wanted cells that are open."""
         self.proof: Proof = _nothing(site.kit)
         for kind in np.flatnonzero(self.heap == 0):
-            self._run_out(int(kind))
+            run_out(int(kind), site.arrays, self.arrays)
 
     def copy(self) -> LatticeWorld:
         """A world that goes its own way."""
@@ -240,6 +239,11 @@ class LatticeWorld:
         for name in ("owner", "alive", "waits", "cover", "heap", "placed", "propped"):
             setattr(other, name, getattr(self, name).copy())
         return other
+
+    @property
+    def arrays(self) -> WorldArrays:
+        """What kernels change of it."""
+        return WorldArrays(self.owner, self.alive, self.waits, self.cover, self.heap)
 
     @property
     def complete(self) -> bool:
@@ -261,7 +265,7 @@ class LatticeWorld:
         Packed greedily, which is exact for walls one cell thick and else may be too few.
         """
         found = self.site.found
-        return _pack(
+        return pack(
             np.flatnonzero(self.alive),
             self.site.kind,
             len(self.heap),
@@ -294,16 +298,15 @@ class LatticeWorld:
         """
         site, stack, count = self.site, self.proof.stack, len(self.placed)
         (x, y, z), (dx, dy, dz) = site.wanted.shape, site.kit.pitch
-        old = stack.weight, stack.centre, stack.point, stack.upper
-        arrays, force, laid = _lay(
+        arrays, force, laid = lay(
             np.array(candidates, np.int64),
             site.arrays,
-            _Growing(self.owner, self.alive, self.waits, self.cover, self.heap),
+            self.arrays,
             np.array(self.propped, np.int64),
             (x, y, z),
             (float(dx), float(dy), float(dz)),
             site.kit.joint_gap / 2 + EDGE_INSET * min(dx, dy),
-            (*old, stack.lower, stack.share, stack.start, stack.rank),
+            stack.arrays,
             self.proof.force,
             count,
         )
@@ -347,30 +350,13 @@ class LatticeWorld:
     def put(self, candidate: int) -> None:
         """Put down a candidate that is known to stand."""
         site, kind = self.site, int(self.site.kind[candidate])
-        _fill(
-            site.cells(candidate),
-            len(self.placed),
-            self.owner,
-            self.alive,
-            self.waits,
-            self.cover,
-            site.over_start,
-            site.over,
-            site.on_start,
-            site.on,
-            site.found.start,
-            site.found.cell,
-        )
+        fill(site.cells(candidate), len(self.placed), site.arrays, self.arrays)
         self.open -= len(site.cells(candidate))
         self.placed.append(candidate)
         if self.heap[kind] > 0:
             self.heap[kind] -= 1
             if self.heap[kind] == 0:
-                self._run_out(kind)
-
-    def _run_out(self, kind: int) -> None:
-        found = self.site.found
-        _run_out(kind, self.site.kind, found.start, found.cell, self.alive, self.cover)
+                run_out(kind, site.arrays, self.arrays)
 
     def _by_program(self, candidate: int) -> Proof | None:
         """The proof of the state with one more block by the linear program; None where it falls."""
@@ -394,158 +380,6 @@ class LatticeWorld:
         """Wanted cells that are open."""
         at = np.argwhere(self.site.wanted & (self.owner < 0).reshape(self.site.wanted.shape))
         return [(int(x), int(y), int(z)) for x, y, z in at]
-
-
-@kernel
-def _fill(
-    cells: np.ndarray,
-    number: int,
-    owner: np.ndarray,
-    alive: np.ndarray,
-    waits: np.ndarray,
-    cover: np.ndarray,
-    over_start: np.ndarray,
-    over: np.ndarray,
-    on_start: np.ndarray,
-    on: np.ndarray,
-    start: np.ndarray,
-    cell: np.ndarray,
-) -> None:
-    """Fill ``cells`` with block ``number``: candidates there are gone, those above come nearer."""
-    for c in cells:
-        owner[c] = number
-        for k in range(over_start[c], over_start[c + 1]):
-            d = over[k]
-            if alive[d]:
-                alive[d] = False
-                for j in range(start[d], start[d + 1]):
-                    cover[cell[j]] -= 1
-        for k in range(on_start[c], on_start[c + 1]):
-            waits[on[k]] -= 1
-
-
-@kernel
-def _run_out(
-    gone: int,
-    kind: np.ndarray,
-    start: np.ndarray,
-    cell: np.ndarray,
-    alive: np.ndarray,
-    cover: np.ndarray,
-) -> None:
-    """No candidate of a kind can be put down any more."""
-    for k in range(len(kind)):
-        if alive[k] and kind[k] == gone:
-            alive[k] = False
-            for j in range(start[k], start[k + 1]):
-                cover[cell[j]] -= 1
-
-
-class SiteArrays(NamedTuple):
-    """What kernels take of a :class:`LatticeSite` and its candidates, by the names there."""
-
-    start: np.ndarray
-    cell: np.ndarray
-    way: np.ndarray
-    origin: np.ndarray
-    kind: np.ndarray
-    over_start: np.ndarray
-    over: np.ndarray
-    on_start: np.ndarray
-    on: np.ndarray
-    weight: np.ndarray
-    centre: np.ndarray
-
-
-class _Growing(NamedTuple):
-    """What changes of a :class:`LatticeWorld`, in place."""
-
-    owner: np.ndarray
-    alive: np.ndarray
-    waits: np.ndarray
-    cover: np.ndarray
-    heap: np.ndarray
-
-
-@kernel
-def _lay(
-    candidates: np.ndarray,
-    site: SiteArrays,
-    world: _Growing,
-    propped: np.ndarray,
-    shape: tuple[int, int, int],
-    pitch: tuple[float, float, float],
-    inset: float,
-    stack: StackArrays,
-    force: np.ndarray,
-    count: int,
-) -> tuple[StackArrays, np.ndarray, np.ndarray]:
-    """See :meth:`LatticeWorld.lay`: the stack, its forces, what was laid on ``count`` blocks."""
-    laid, done, moving = np.empty(len(candidates), np.int64), 0, True
-    gone = np.zeros(len(candidates), np.bool_)
-    unit = min(pitch[0], pitch[1])
-    while moving:
-        moving = False
-        for k in range(len(candidates)):
-            c = candidates[k]
-            if gone[k] or world.waits[c] != 0:
-                continue
-            cells = site.cell[site.start[c] : site.start[c + 1]]
-            way = site.way[c]
-            block = float(site.weight[way]), site.centre[way], site.origin[c]
-            grown = grow_stack(cells, world.owner, propped, shape, pitch, inset, block, stack)
-            weight, centre, point, upper, lower, share, start, rank = grown
-            load = load_at_rest(weight, centre, point, upper, lower, share, start, rank, unit)
-            forces = np.zeros(len(upper))
-            forces[: len(force)] = force
-            placed, dirty = np.ones(len(weight), np.bool_), np.zeros(len(weight), np.bool_)
-            dirty[-1] = True
-            if not settle(load, forces, placed, dirty, False):
-                continue
-            stack, force = grown, forces
-            _fill(
-                cells,
-                count + done,
-                world.owner,
-                world.alive,
-                world.waits,
-                world.cover,
-                site.over_start,
-                site.over,
-                site.on_start,
-                site.on,
-                site.start,
-                site.cell,
-            )
-            kind = int(site.kind[c])
-            if world.heap[kind] > 0:
-                world.heap[kind] -= 1
-                if world.heap[kind] == 0:
-                    _run_out(kind, site.kind, site.start, site.cell, world.alive, world.cover)
-            laid[done] = c
-            gone[k] = moving = True
-            done += 1
-    return stack, force, laid[:done]
-
-
-@kernel
-def _pack(
-    alive: np.ndarray, kind: np.ndarray, kinds: int, start: np.ndarray, cell: np.ndarray, cells: int
-) -> np.ndarray:
-    taken = np.full((kinds, cells), False)
-    count = np.zeros(kinds, np.int64)
-    for c in alive:
-        k = kind[c]
-        free = True
-        for j in range(start[c], start[c + 1]):
-            if taken[k, cell[j]]:
-                free = False
-                break
-        if free:
-            count[k] += 1
-            for j in range(start[c], start[c + 1]):
-                taken[k, cell[j]] = True
-    return count
 
 
 # ---------------------------------------------------------------- equilibrium, one block at a time
@@ -582,7 +416,7 @@ def grow(world: LatticeWorld, candidate: int) -> Stack:
         (float(pitch[0]), float(pitch[1]), float(pitch[2])),
         site.kit.joint_gap / 2 + EDGE_INSET * min(pitch[:2]),
         (site.weight[way], site.centre[way], site.found.origin[candidate]),
-        (old.weight, old.centre, old.point, old.upper, old.lower, old.share, old.start, old.rank),
+        old.arrays,
     )
     return Stack(*made, old.cell)
 

@@ -12,7 +12,6 @@ from learn2assemble.tasks.world.state import State
 
 NUM_FEATURES = 5
 POSITION = slice(0, 3)
-PLACED_FLAG, TARGET_FLAG = 3, 4
 
 
 class Graph(NamedTuple):

@@ -31,6 +31,7 @@ import numpy as np
 from learn2assemble.constants import EDGE, FRICTION, HALF
 from learn2assemble.errors import InputError, Learn2AssembleError
 from learn2assemble.geometry.circles import inner_circle
+from learn2assemble.linear_programs import pass_columns
 from learn2assemble.tasks.physics.support import (
     CONTACT_TOLERANCE,
     OVERLAP_TOLERANCE,
@@ -39,8 +40,6 @@ from learn2assemble.tasks.physics.support import (
 
 GROUND = -1
 CONE_SIDES = 8
-_COLUMNWISE = int(highspy.MatrixFormat.kColwise)
-_MINIMIZE = int(highspy.ObjSense.kMinimize)
 _PRIMAL_SIMPLEX = 4
 _CORNERS = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]], float)
 _ANGLES = 2 * np.pi / CONE_SIDES * np.arange(CONE_SIDES)
@@ -273,7 +272,7 @@ class _BalanceProgram:
         """The solver holding this program; later directions start from its last basis."""
         if self._solver is not None:
             return self._solver
-        num_columns, num_rows = len(self._start), 6 * self.num_objects
+        num_columns = len(self._start)
         solver = highspy.Highs()
         solver.setOptionValue("output_flag", False)
         solver.setOptionValue("threads", 1)
@@ -282,23 +281,7 @@ class _BalanceProgram:
         weight = np.zeros((self.num_objects, 6))
         weight[:, 2] = self.mass
         weight = weight.reshape(-1)
-        # Arrays, not a HighsLp: its fields are lists, which take a millisecond to fill.
-        solver.passModel(
-            num_columns,
-            num_rows,
-            len(self._value),
-            _COLUMNWISE,
-            _MINIMIZE,
-            0.0,
-            zeros,
-            zeros,
-            free,
-            weight,
-            weight,
-            self._start,
-            self._index,
-            self._value,
-            np.zeros(num_columns, np.int32),
-        )
+        matrix = self._start, self._index, self._value
+        pass_columns(solver, zeros, (zeros, free), (weight, weight), matrix)
         self._solver = solver
         return solver
