@@ -605,6 +605,41 @@ def test_meshes_that_hold_less_than_they_say_are_one_line(
     assert "\n" not in str(error.value)
 
 
+def obj(boxes: dict[str, tuple[int, int]], corner: str) -> bytes:
+    """Unit boxes from x to y, of one height each.
+
+    Args:
+        boxes: name to (x, z) of the low corner.
+        corner: how a face names vertex {k} of its box, where {far} are written so far.
+    """
+    faces = "1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4"
+    lines, far = list[str](), 0
+    for name, (x, z) in boxes.items():
+        lines.append(f"o {name}\nvt 0 0\nvn 0 0 1")
+        points = [(x + a, b, z + c) for a in (0, 1) for b in (0, 1) for c in (0, 1)]
+        lines += [f"v {a} {b} {c}" for a, b, c in points]
+        far += 8
+        for face in faces:
+            words = [corner.format(back=int(k) - 9, on=far - 8 + int(k)) for k in face.split()]
+            lines.append("f " + " ".join(words) + " # -1")
+    return "\n".join(lines).encode()
+
+
+@pytest.mark.parametrize("corner", ["{back}", "{back}/-1/-1", "{on}//-1", "{back}//-1"])
+def test_corners_of_faces_may_be_counted_back(tmp_path: Path, corner: str) -> None:
+    """Back from the face, not from the end of the file, as in OBJ."""
+    boxes = {"lintel": (0, 5), "left": (0, 0), "right": (3, 0)}
+    (tmp_path / "back.obj").write_bytes(obj(boxes, corner))
+    made = {block.id: block for block in read_assembly(tmp_path / "back.obj").blocks}
+    assert made.keys() == boxes.keys()
+    for name, (x, z) in boxes.items():
+        assert made[name].vertices.min(0).tolist() == [x, 0, z]
+        assert made[name].volume == pytest.approx(1)
+    (tmp_path / "far.obj").write_bytes(obj(boxes, corner).replace(b"f ", b"f -9 ", 1))
+    with pytest.raises(InputError, match="a face with -9, after 8 of what it counts"):
+        read_assembly(tmp_path / "far.obj")
+
+
 def test_meshes_that_share_an_edge_in_one_file_are_refused(tmp_path: Path) -> None:
     """Which of four faces at an edge belong together cannot be told."""
     trimesh = pytest.importorskip("trimesh")
