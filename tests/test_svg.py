@@ -130,6 +130,11 @@ GATE = '<path d="M0 0H60V50H40V20H20V50H0z"/>'
         ("<rect width='9' height='9' style='fill:var(--a)'/>", "1 CSS variable"),
         ("<rect width='9' height='9' fill='oklch(0 0 0)'/>", "1 colour"),
         ("<path d='M0 0h9v9z L x'/>", "1 path with an error"),
+        ("<rect width='9' height='9' transform='scale(a)'/>", "1 transform with an error"),
+        (
+            "<rect width='9' height='9' style='transform:translate(50%,0)'/>" * 2,
+            "2 transforms with a percentage",
+        ),
         ("<use href='other.svg#a'/>", "1 reference to another file"),
         ("<rect width='9' height='9'><animate attributeName='x'/></rect>", "1 animation"),
         ("<g><animate attributeName='x'/></g>", "1 animation"),

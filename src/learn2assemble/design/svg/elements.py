@@ -154,7 +154,8 @@ class Elements:
             self.turns[given] = paths.transform(given)
         made = self.turns[given]
         if made is None:
-            self.not_read["transform with an error"] += 1
+            share = re.search(r"translate[xy]?\([^()]*%", given, re.IGNORECASE)
+            self.not_read[f"transform with {'a percentage' if share else 'an error'}"] += 1
             return IDENTITY
         origin = _origin(style.get("transform-origin", ""))
         if origin is None or given == "none":
