@@ -296,17 +296,30 @@ def test_crossing_bars_overlap_though_no_corner_is_inside() -> None:
 
 def test_surfaces_that_cross_themselves_are_refused() -> None:
     """An L whose free end is bent through its foot; and two shells in one another."""
-    check_simple(ell())
+    check_simple(ell(), 1e-3)
     bent = ell().vertices.copy()
     bent[[4, 5, 10, 11], 1] = -1.0
     bent[[4, 10], 0], bent[[5, 11], 0] = 0.5, 0.4
     with pytest.raises(InputError, match="cross"):
-        check_simple(Block("bent", bent, ell().faces))
+        check_simple(Block("bent", bent, ell().faces), 1e-3)
     a, b = box_block("a", (0, 0, 0), (1, 1, 1)), box_block("b", (0, 0, 0), (1, 1, 1))
     faces = (*a.faces, *(tuple(k + 8 for k in face) for face in b.faces))
     twice = Block("twice", np.concatenate([a.vertices, b.vertices]), faces)
     with pytest.raises(InputError, match="overlap"):
-        check_simple(twice)
+        check_simple(twice, 1e-3)
+
+
+@pytest.mark.parametrize(("gap", "apart"), [(0.0, False), (4e-4, False), (2e-3, True), (9.0, True)])
+def test_shells_of_one_block_hang_together(gap: float, apart: bool) -> None:
+    """Two objects of one name in a file would be one rigid block."""
+    boxes = [box_block("k", (x, 0, 0), (x + 1, 1, 1)) for x in (2 + 2 * gap, 0, 1 + gap)]
+    faces = tuple(tuple(k + 8 * n for k in f) for n, box in enumerate(boxes) for f in box.faces)
+    row = Block("row", np.concatenate([box.vertices for box in boxes]), faces)
+    if not apart:
+        check_overlaps(Assembly((row,)), 1e-3)
+        return
+    with pytest.raises(InputError, match=r"block 'row': got '3 parts, not all of which touch'"):
+        check_overlaps(Assembly((row,)), 1e-3)
 
 
 # ---------------------------------------------------------------- files
