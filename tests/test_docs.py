@@ -277,6 +277,14 @@ def test_what_the_reference_lists_is_where_it_says() -> None:
             assert public == name or {f"`{public}`", f"`{name}`"} <= set(reference.split())
 
 
+def test_the_tutorial_says_how_many_flat_actions_there_are() -> None:
+    from learn2assemble.envs.actions import num_flat_actions
+
+    tutorial = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
+    sizes = [num_flat_actions(task) for task in PRESETS.values()]
+    assert f"are the paper's, {min(sizes):,} to {max(sizes):,} by the task" in tutorial
+
+
 def test_files_named_in_the_architecture_exist() -> None:
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     source, laboratory = ROOT / "src" / "learn2assemble", ROOT / "laboratory" / "src"
