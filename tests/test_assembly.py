@@ -296,17 +296,30 @@ def test_crossing_bars_overlap_though_no_corner_is_inside() -> None:
 
 def test_surfaces_that_cross_themselves_are_refused() -> None:
     """An L whose free end is bent through its foot; and two shells in one another."""
-    check_simple(ell())
+    check_simple(ell(), 1e-3)
     bent = ell().vertices.copy()
     bent[[4, 5, 10, 11], 1] = -1.0
     bent[[4, 10], 0], bent[[5, 11], 0] = 0.5, 0.4
     with pytest.raises(InputError, match="cross"):
-        check_simple(Block("bent", bent, ell().faces))
+        check_simple(Block("bent", bent, ell().faces), 1e-3)
     a, b = box_block("a", (0, 0, 0), (1, 1, 1)), box_block("b", (0, 0, 0), (1, 1, 1))
     faces = (*a.faces, *(tuple(k + 8 for k in face) for face in b.faces))
     twice = Block("twice", np.concatenate([a.vertices, b.vertices]), faces)
     with pytest.raises(InputError, match="overlap"):
-        check_simple(twice)
+        check_simple(twice, 1e-3)
+
+
+@pytest.mark.parametrize(("gap", "apart"), [(0.0, False), (4e-4, False), (2e-3, True), (9.0, True)])
+def test_shells_of_one_block_hang_together(gap: float, apart: bool) -> None:
+    """Two objects of one name in a file would be one rigid block."""
+    boxes = [box_block("k", (x, 0, 0), (x + 1, 1, 1)) for x in (2 + 2 * gap, 0, 1 + gap)]
+    faces = tuple(tuple(k + 8 * n for k in f) for n, box in enumerate(boxes) for f in box.faces)
+    row = Block("row", np.concatenate([box.vertices for box in boxes]), faces)
+    if not apart:
+        check_overlaps(Assembly((row,)), 1e-3)
+        return
+    with pytest.raises(InputError, match=r"block 'row': got '3 parts, not all of which touch'"):
+        check_overlaps(Assembly((row,)), 1e-3)
 
 
 # ---------------------------------------------------------------- files
@@ -603,6 +616,41 @@ def test_meshes_that_hold_less_than_they_say_are_one_line(
     with pytest.raises(InputError, match=expected) as error:
         read_assembly(tmp_path / name)
     assert "\n" not in str(error.value)
+
+
+def obj(boxes: dict[str, tuple[int, int]], corner: str) -> bytes:
+    """Unit boxes from x to y, of one height each.
+
+    Args:
+        boxes: name to (x, z) of the low corner.
+        corner: how a face names vertex {k} of its box, where {far} are written so far.
+    """
+    faces = "1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4"
+    lines, far = list[str](), 0
+    for name, (x, z) in boxes.items():
+        lines.append(f"o {name}\nvt 0 0\nvn 0 0 1")
+        points = [(x + a, b, z + c) for a in (0, 1) for b in (0, 1) for c in (0, 1)]
+        lines += [f"v {a} {b} {c}" for a, b, c in points]
+        far += 8
+        for face in faces:
+            words = [corner.format(back=int(k) - 9, on=far - 8 + int(k)) for k in face.split()]
+            lines.append("f " + " ".join(words) + " # -1")
+    return "\n".join(lines).encode()
+
+
+@pytest.mark.parametrize("corner", ["{back}", "{back}/-1/-1", "{on}//-1", "{back}//-1"])
+def test_corners_of_faces_may_be_counted_back(tmp_path: Path, corner: str) -> None:
+    """Back from the face, not from the end of the file, as in OBJ."""
+    boxes = {"lintel": (0, 5), "left": (0, 0), "right": (3, 0)}
+    (tmp_path / "back.obj").write_bytes(obj(boxes, corner))
+    made = {block.id: block for block in read_assembly(tmp_path / "back.obj").blocks}
+    assert made.keys() == boxes.keys()
+    for name, (x, z) in boxes.items():
+        assert made[name].vertices.min(0).tolist() == [x, 0, z]
+        assert made[name].volume == pytest.approx(1)
+    (tmp_path / "far.obj").write_bytes(obj(boxes, corner).replace(b"f ", b"f -9 ", 1))
+    with pytest.raises(InputError, match="a face with -9, after 8 of what it counts"):
+        read_assembly(tmp_path / "far.obj")
 
 
 def test_meshes_that_share_an_edge_in_one_file_are_refused(tmp_path: Path) -> None:

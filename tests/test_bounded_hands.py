@@ -238,6 +238,10 @@ def test_a_limited_hand_counts_on_a_polyhedron_inside_its_ball() -> None:
         unit /= np.linalg.norm(unit)
         assert hand.gives(8.86 * unit, none)
         assert not hand.gives(10.001 * unit, none)
+    with pytest.raises(InputError, match="hand: force: got -1, expected 0 or more"):
+        Hand.limited((0.0, 0.0, 0.0), -1, 1)
+    with pytest.raises(InputError, match=r"hand: moment: got -0\.5, expected 0 or more"):
+        Hand.limited((0.0, 0.0, 0.0), 0.0, -0.5)
 
 
 def test_a_hand_is_written_and_read() -> None:

@@ -529,6 +529,23 @@ def test_a_heap_that_lacks_blocks_for_props_says_how_many_more_would_do() -> Non
     assert plan_cells(design, _heap(**counts)).complete
 
 
+def test_props_are_named_in_advice_only_where_they_are_what_a_heap_lacks() -> None:
+    """A wall of odd rows needs a half in each; a bridge of one's own blocks needs props."""
+    cell = (0.05, 0.05, 0.05)
+    rows = CellDesign("rows", np.ones((5, 1, 3), bool), cell, None, 0.0, None, "test", None)
+    plan = plan_cells(rows, _heap(half=1, brick=20))
+    assert plan.reason == "the heap of kit `heap` lacks 2 x half; with 2 x half more it stands"
+    wanted = np.zeros((12, 1, 5), bool)
+    wanted[:4, 0, :3] = wanted[8:, 0, :3] = wanted[:, 0, 3:] = True
+    kit = _heap(half=4, long=11)
+    tiling = tile(wanted, kit)
+    assert "more, for props, it stands" in next(_trials(tiling, kit, {}))[0]
+    without = _trials(tiling, kit, {"props_allowed": False})
+    assert not any("props" in text or "long more" in text for text, *_ in without)
+    fewer = _heap(half=4, long=9)
+    assert "more, some for props, it stands" in next(_trials(tiling, fewer, {}))[0]
+
+
 def test_a_heap_that_is_too_small_says_what_it_lacks() -> None:
     wall = np.ones((10, 1, 2), bool)
     design = CellDesign("wall", wall, (0.05, 0.05, 0.05), None, 0.0, None, "test", None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import json
 import os
@@ -251,6 +252,37 @@ def test_the_site_names_every_page_and_public_name() -> None:
     for name in set(l2a.__all__) - left:
         home, there = l2a._PLACES[name]
         assert f"::: learn2assemble.{home}.{there}\n" in reference, name
+
+
+def test_what_the_reference_lists_is_where_it_says() -> None:
+    """Names of the package, under that name or a told one; the rest where it is imported from."""
+    import learn2assemble as l2a
+
+    reference = (ROOT / "docs" / "reference.md").read_text(encoding="utf-8")
+    places = {f"learn2assemble.{'.'.join(place)}": name for name, place in l2a._PLACES.items()}
+    beside = {
+        f"{module}.{name}"
+        for module, names in re.findall(r"^from (\S+) import (.+)$", reference, re.MULTILINE)
+        for name in names.split(", ")
+    }
+    listed = re.findall(r"^::: (\S+)$", reference, re.MULTILINE)
+    assert listed
+    assert {path for path in listed if path not in places} == beside
+    for path in listed:
+        module, _, name = path.rpartition(".")
+        found = getattr(importlib.import_module(module), name)
+        public = places.get(path)
+        if public is not None:
+            assert getattr(l2a, public) is found
+            assert public == name or {f"`{public}`", f"`{name}`"} <= set(reference.split())
+
+
+def test_the_tutorial_says_how_many_flat_actions_there_are() -> None:
+    from learn2assemble.envs.actions import num_flat_actions
+
+    tutorial = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
+    sizes = [num_flat_actions(task) for task in PRESETS.values()]
+    assert f"are the paper's, {min(sizes):,} to {max(sizes):,} by the task" in tutorial
 
 
 def test_files_named_in_the_architecture_exist() -> None:

@@ -30,6 +30,7 @@ from learn2assemble.planning.tiling.ordering import polycube
 from learn2assemble.viewer.page import Verdict, render_assembly_page
 from learn2assemble.viewer.scene import first_view, is_behind, side_covers
 from learn2assemble.viewer.tables import StepNote
+from learn2assemble.viewer.words import newtons
 from read_back import STRUCTURES
 
 EDGE = 0.05
@@ -239,7 +240,8 @@ def test_notes_joints_and_forces_are_those_given() -> None:
     assert text.count("<td>local certificate</td>") == len(notes) - 1
     for number in (1, 4):
         mass = sum(assembly.block(step.place or "").mass for step in assembly.steps[:number])
-        push = f"{0.25 * 9.80665 * mass:.2g}"
+        push = newtons(0.25 * 9.80665 * mass)
+        assert float(push) == float(f"{0.25 * 9.80665 * mass:.2g}")
         words = f"a sideways push of {push} N in every direction, shared by all blocks by weight"
         assert f"{words} (0.25 g)" in data["captions"][number]
         assert "or a tilt of 14.0°" in data["captions"][number]
@@ -251,6 +253,12 @@ def test_notes_joints_and_forces_are_those_given() -> None:
     assert 'id="show-forces"' not in plain
     with pytest.raises(InputError, match="step_notes"):
         render_assembly_page(assembly, title="x", step_notes=notes[1:])
+
+
+def test_forces_are_plain_numbers() -> None:
+    given = 0.0, 0.5, 0.03149, 7.0, 66.6, 671.2, 1290.0, 1.2e6, 3.14e-5
+    told = "0", "0.5", "0.031", "7", "67", "670", "1300", "1200000", "0.000031"
+    assert tuple(map(newtons, given)) == told
 
 
 @pytest.mark.parametrize(

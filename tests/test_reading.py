@@ -136,6 +136,25 @@ def test_a_mesh_without_a_unit_is_told_what_fits(tmp_path: Path) -> None:
         read_design(drawing, unit="m", cell=0.05, up=None, depth=None, size=None, kit=None)
 
 
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        ({"unit": "mm", "size": 0.4}, "unit: got 'mm', expected either unit or size"),
+        ({"unit": "cm", "cells_wide": 8}, "unit: got 'cm', expected either unit or cells_wide"),
+        ({"size": 0.4, "cells_wide": 8}, "size: got 0.4, expected either size or cells_wide"),
+    ],
+)
+def test_a_size_is_said_once(tmp_path: Path, said: dict[str, Any], words: str) -> None:
+    box = save(trimesh.creation.box((400, 200, 300)), tmp_path / "box.stl")
+    drawing = tmp_path / "box.svg"
+    drawing.write_text(
+        '<svg xmlns="http://www.w3.org/2000/svg"><rect width="30" height="20"/></svg>'
+    )
+    for path in (box, drawing):
+        with pytest.raises(InputError, match=words):
+            read_design(path, **said)
+
+
 def test_what_would_help_is_an_option_on_the_command_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

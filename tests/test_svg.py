@@ -12,6 +12,7 @@ from PIL import Image, ImageDraw
 from headless import find_browser
 from learn2assemble.design.lattice import HALF, shares
 from learn2assemble.design.svg.walk import read_svg
+from learn2assemble.errors import InputError
 from svg_drawings import DRAWINGS, SIZE, recorded, shown_by
 
 CELLS = 16
@@ -129,6 +130,11 @@ GATE = '<path d="M0 0H60V50H40V20H20V50H0z"/>'
         ("<rect width='9' height='9' style='fill:var(--a)'/>", "1 CSS variable"),
         ("<rect width='9' height='9' fill='oklch(0 0 0)'/>", "1 colour"),
         ("<path d='M0 0h9v9z L x'/>", "1 path with an error"),
+        ("<rect width='9' height='9' transform='scale(a)'/>", "1 transform with an error"),
+        (
+            "<rect width='9' height='9' style='transform:translate(50%,0)'/>" * 2,
+            "2 transforms with a percentage",
+        ),
         ("<use href='other.svg#a'/>", "1 reference to another file"),
         ("<rect width='9' height='9'><animate attributeName='x'/></rect>", "1 animation"),
         ("<g><animate attributeName='x'/></g>", "1 animation"),
@@ -168,6 +174,45 @@ def test_closed_lines_are_material_only_where_nothing_is_filled() -> None:
     both = read_svg(_page(f'{line}<rect x="9" y="9" width="9" height="9"/>'), "a.svg")
     assert np.ptp(both.sides["front"][0], axis=0) == pytest.approx((9, 9))
     assert both.not_read == "not read: 1 stroke: convert them to paths"
+
+
+@pytest.mark.parametrize(
+    ("origin", "about"),
+    [
+        ("", (0, 0)),
+        ("center", (30, 25)),
+        ("Left", (0, 25)),
+        ("right", (60, 25)),
+        ("top", (30, 0)),
+        ("bottom", (30, 50)),
+        ("12px", (12, 25)),
+        ("top right", (60, 0)),
+        ("right top", (60, 0)),
+        ("bottom left", (0, 50)),
+        ("center left", (0, 25)),
+        ("bottom center", (30, 50)),
+        ("center bottom", (30, 50)),
+        ("center 10px", (30, 10)),
+        ("10px bottom 0", (10, 50)),
+        # No property of CSS: browsers drop them.
+        ("top 10px", (0, 0)),
+        ("10px left", (0, 0)),
+        ("left right", (0, 0)),
+        ("middle", (0, 0)),
+    ],
+)
+def test_a_transform_is_about_what_css_says(origin: str, about: tuple[float, float]) -> None:
+    turn = f"transform:scale(0.5);transform-origin:{origin}"
+    drawn = read_svg(_page(f'<rect width="20" height="10" style="{turn}"/>'), "a.svg")
+    low, high = (getattr(drawn.sides["front"][0], name)(0) for name in ("min", "max"))
+    x, y = np.array(about) / 2
+    assert (low[0], high[0], -high[1], -low[1]) == pytest.approx((x, x + 10, y, y + 5))
+
+
+def test_a_calculated_origin_is_refused() -> None:
+    turn = "transform:scale(0.5);transform-origin:calc(9px)"
+    with pytest.raises(InputError, match="a length"):
+        read_svg(_page(f'<rect width="20" height="10" style="{turn}"/>'), "a.svg")
 
 
 @pytest.mark.parametrize("names", [("empty", "grid"), ("base", "background"), ("wall", "leaf")])

@@ -385,6 +385,15 @@ def test_what_does_not_fit_is_named() -> None:
     kinds = tuple(replace(kind, count=1) for kind in SMALL.kinds)
     tiling = tile(np.ones((9, 1, 1), bool), replace(SMALL, kinds=kinds))
     assert tiling.reason == "the heap of kit `small` lacks 1 x 1x3"
+    # A cell that stays open in each of two layers costs less than the blocks that are lacking.
+    pairs, threes = (replace(k, count=n) for k, n in zip(SMALL.kinds[1:], (20, 2), strict=True))
+    tiling = tile(np.ones((3, 1, 4), bool), replace(SMALL, kinds=(pairs, threes)))
+    assert tiling.reason == "the heap of kit `small` lacks 2 x 1x3"
+    alone = np.zeros((4, 1, 2), bool)
+    alone[[0, 1, 3, 0], 0, [0, 0, 0, 1]] = True
+    for count in (20, None):
+        tiling = tile(alone, replace(SMALL, kinds=(replace(pairs, count=count),)))
+        assert tiling.reason.endswith("fill 2 cells exactly, the first at (3, 0, 0), level 0")
 
 
 def test_time_that_ran_out_is_called_so() -> None:

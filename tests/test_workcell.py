@@ -388,7 +388,10 @@ def test_a_magazine_that_runs_empty_pauses_the_build(window: Plan, tmp_path: Pat
     site = Site(magazines=(Magazine(kind, Pose(0.0, -0.2), 1),))
     paused = carry_out(window, quick(site=site, log=log))
     assert paused.status == "incomplete"
-    assert f"no {kind} is left in the supply" in (paused.reason or "")
+    # What is lacking is told of its own kind alone; what lies on it waits.
+    waiting = len(window.steps) - len(paused.steps) - 1
+    told = f"({kind}) cannot be placed: no {kind} is left in the supply"
+    assert (paused.reason or "").partition(" ")[2] == f"{told}; {waiting} more wait for that"
     assert 0 < len(paused.steps) < len(window.steps)
     filled = Site(magazines=(Magazine(kind, Pose(0.0, -0.2), 99),))
     whole = carry_out(window, quick(site=filled, log=log))

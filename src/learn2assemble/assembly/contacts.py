@@ -256,8 +256,8 @@ def check_overlaps(assembly: Assembly, tolerance: float | None = None) -> None:
         InputError: naming two blocks that overlap by more.
     """
     width = _width(assembly, tolerance)
-    for block in assembly.blocks:
-        check_simple(block)
+    for block, gap in zip(assembly.blocks, width.tolist(), strict=True):
+        check_simple(block, gap)
     blocks, facets = assembly.blocks, _facets(assembly.blocks, width)
     lower, upper = _bounds(facets, len(blocks))
     first = np.searchsorted(facets.block, np.arange(len(blocks) + 1))

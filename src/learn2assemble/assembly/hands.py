@@ -92,7 +92,13 @@ class Hand:
 
         Each is counted on in a polyhedron inside the ball of that size, whose corners are on it:
         in every direction at least 0.886 of the size, in those of few all of it.
+
+        Raises:
+            InputError: as :meth:`within`, and for a size below 0.
         """
+        for what, size in (("force", force), ("moment", moment)):
+            if size < 0:
+                raise InputError(f"hand: {what}", size, "0 or more: a hand may give nothing")
         ways, share = ball(3)
         nothing = np.zeros_like(ways)
         rows = np.vstack([np.hstack([ways, nothing]), np.hstack([nothing, ways])])

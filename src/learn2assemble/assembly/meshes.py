@@ -69,6 +69,7 @@ def read_parts(content: bytes, kind: str, source: str) -> list[MeshPart]:
     logging.getLogger("trimesh").addHandler(logging.NullHandler())
     options: dict[str, Any] = {"process": False}
     if kind == "obj":
+        content = _counted_from_one(content, source)
         options |= {"split_objects": True, "group_material": False, "skip_materials": True}
     expected = "a whole mesh file"
     with trusted(source, expected, f" as {kind.upper()}"), np.errstate(all="ignore"):
@@ -127,6 +128,41 @@ def _promises(content: bytes, kind: str, source: str) -> None:
     if promised > min(len(content), 4 * MAX_TRIANGLES):
         got = f"{promised} vertices and faces in {len(content)} bytes"
         raise InputError(source, got, f"a whole mesh file, at most {MAX_TRIANGLES} triangles")
+
+
+def _counted_from_one(content: bytes, source: str) -> bytes:
+    """An OBJ file whose faces name no vertex by how far back it is.
+
+    Such a number counts from the face; the library counts from the end of the file.
+    """
+    joined = re.sub(rb"\\\r?\n", b" ", content)
+    if not re.search(rb"^[ \t]*f\s[^\n]*-", joined, re.MULTILINE):
+        return content
+    counts, lines = {b"v": 0, b"vt": 0, b"vn": 0}, joined.splitlines()
+    for place, line in enumerate(lines):
+        key, *corners = line.split(b"#", 1)[0].split() or [b""]
+        if key in counts:
+            counts[key] += 1
+        elif key == b"f" and any(b"-" in corner for corner in corners):
+            corners = [_counted_corner(corner, list(counts.values()), source) for corner in corners]
+            lines[place] = b" ".join([key, *corners])
+    return b"\n".join(lines)
+
+
+def _counted_corner(corner: bytes, counts: list[int], source: str) -> bytes:
+    """A corner of a face, ``v/vt/vn``, counted from 1.
+
+    Args:
+        counts: vertices, texture coordinates and normals before the face.
+    """
+    made = list[bytes]()
+    for word, count in zip(corner.split(b"/"), counts, strict=False):
+        back = re.fullmatch(rb"-(\d{1,18})", word)
+        if back and not 1 <= int(back[1]) <= count:
+            got = f"a face with {word.decode()}, after {count} of what it counts"
+            raise InputError(source, got, "a whole mesh file")
+        made.append(str(count + 1 - int(back[1])).encode() if back else word)
+    return b"/".join(made)
 
 
 def _geometry_only(content: bytes, source: str) -> bytes:

@@ -70,8 +70,11 @@ def convex_parts(block: Block) -> tuple[Block, ...]:
     return (block,) if len(parts) == 1 and parts[0] is block else tuple(parts)
 
 
-def check_simple(block: Block) -> None:
-    """Refuse a block whose surface crosses itself, or whose shells share a volume.
+def check_simple(block: Block, width: float) -> None:
+    """Refuse a block whose surface crosses itself, or whose shells share a volume or are apart.
+
+    Args:
+        width: widest gap of shells that touch [m].
 
     Raises:
         InputError: naming the block.
@@ -93,6 +96,25 @@ def check_simple(block: Block) -> None:
     several = len(parts) > 1
     if several and abs(to_manifold(block).volume() - block.volume) > 1e-3 * block.volume:
         raise InputError(f"block {block.id!r}", "shells that overlap", "parts that only touch")
+    if several and len(_joined_to_first(parts, width)) < len(parts):
+        got, expected = f"{len(parts)} parts, not all of which touch", "one body under one name"
+        raise InputError(f"block {block.id!r}", got, expected)
+
+
+def _joined_to_first(parts: Sequence[Block], width: float) -> set[int]:
+    """Which parts hang together with the first one, over gaps of at most ``width`` [m]."""
+    solids = [to_manifold(part) for part in parts]
+    low = np.array([part.vertices.min(0) for part in parts]) - width
+    high = np.array([part.vertices.max(0) for part in parts])
+    reached, left, fresh = {0}, np.arange(1, len(parts)), [0]
+    while fresh:
+        one = fresh.pop()
+        meet = ((low[left] <= high[one]) & (high[left] >= low[one])).all(1)
+        near: list[int] = left[meet].tolist()
+        found = [k for k in near if solids[one].min_gap(solids[k], 2 * width) <= width]
+        reached |= set(found)
+        left, fresh = np.setdiff1d(left, found), fresh + found
+    return reached
 
 
 def to_manifold(block: Block) -> manifold3d.Manifold:

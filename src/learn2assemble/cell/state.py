@@ -205,11 +205,11 @@ class Choice:
                 last = [d for d in self.done if d.block == step.block]
                 blocked[step.block] = last[-1].detail if last else "it comes later"
         causes = [k for k, why in blocked.items() if why != WAITING]
-        number = next(iter(causes or blocked))
-        why = blocked[number]
-        others = f" and {len(blocked) - 1} others" if len(blocked) > 1 else ""
-        piece = self.world.pieces[number]
-        return f"{piece.id} ({piece.name}){others} cannot be placed: {why}"
+        number, *rest = causes or list(blocked)
+        piece, waiting = self.world.pieces[number], len(blocked) - 1 - len(rest)
+        others = f" and {len(rest)} other{'s' * (len(rest) > 1)}" if rest else ""
+        after = f"; {waiting} more wait{'s' * (waiting == 1)} for that" if waiting else ""
+        return f"{piece.id} ({piece.name}){others} cannot be placed: {blocked[number]}{after}"
 
     def bears(self, step: StepOf, standing: set[int]) -> bool:
         """Whether a step may be done: everything stands then, whether what another arm is about to

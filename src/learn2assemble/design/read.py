@@ -138,8 +138,8 @@ def _objects(file: DesignFile, kit: Kit | None, reading: Mapping[str, Any]) -> o
     from learn2assemble.assembly.meshes import KINDS
 
     given = Reading.of(reading)
-    given.check(file.kind)
     _refuse(reading, "none with blocks; unit and up alone", "blocks", "unit", "up")
+    given.check(file.kind)
     if file.kind not in KINDS:
         raise InputError("blocks", file.source, f"a mesh of {', '.join(KINDS)}")
     unit = None if given.unit is None else UNITS[given.unit]

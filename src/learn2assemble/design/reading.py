@@ -99,8 +99,11 @@ class Reading:
             value = getattr(self, name)
             if value is not None and not isinstance(value, bool):
                 raise InputError(name, value, "True or False")
-        if self.size is not None and wide is not None and kind not in LOSSY:
-            raise InputError("size", self.size, "either size or cells_wide")
+        # Each says how large the design is; a picture has pixels besides.
+        sizes = {"unit": self.unit, "size": self.size, "cells_wide": wide}
+        said = [name for name, value in sizes.items() if value is not None]
+        if len(said) > 1 and kind not in LOSSY:
+            raise InputError(said[0], sizes[said[0]], f"either {' or '.join(said)}")
 
     def edges(self, kit: str | None, own: Lengths | None = None) -> Lengths:
         """Edges of a cell [m]: as the caller says, else the file (``own``), else the kit."""

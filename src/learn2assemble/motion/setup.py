@@ -171,12 +171,15 @@ def check_address(address: str) -> tuple[str, str]:
     """Scheme and place of an address.
 
     Raises:
-        InputError: for an address without a scheme, and for a scheme nobody knows.
+        InputError: for an address without a scheme, for a scheme nobody knows, and for a host of
+            what is simulated.
     """
     scheme, mark, place = address.partition("://")
     if not mark:
         raise InputError("robot", address, "an address as sim:// or ur://HOST")
     look_up("robot", scheme, PLANTS)
+    if scheme == "sim" and place:
+        raise InputError("robot", address, "sim:// alone: what is simulated has no host")
     return scheme, place
 
 

@@ -43,6 +43,7 @@ from learn2assemble.viewer.words import (
     BLAME_WORDS,
     arm_summary,
     friction_words,
+    newtons,
     percent,
     placement,
     proof_words,
@@ -426,7 +427,7 @@ def _least_push(plan: Plan) -> str | None:
     if not pushes:
         return None
     push, number = min(pushes)
-    return f"{push:.2g} N sideways, after step {number}"
+    return f"{newtons(push)} N sideways, after step {number}"
 
 
 def _page_of_nothing(plan: Plan) -> str:
@@ -467,7 +468,9 @@ def _note(step: Step, targets: Sequence[PlanTarget], leaning: bool) -> StepNote:
     if len(targets) > 1:
         shares = zip(targets, step.sides, strict=bool(step.sides))
         sides = [f"{target.name} {percent(share)}" for target, share in shares]
-    spare = "" if step.margin_n is None else f"A contact point can pull {step.margin_n:.2g} N more"
+    spare = (
+        "" if step.margin_n is None else f"A contact point can pull {newtons(step.margin_n)} N more"
+    )
     told = [spare, where[:1].upper() + where[1:] if where else "", ", ".join(sides)]
     more = "; ".join(part for part in told if part)
     return StepNote(

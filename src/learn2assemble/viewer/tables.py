@@ -34,7 +34,7 @@ from learn2assemble.constants import GRAVITY
 from learn2assemble.planning.plan import LARGEST, SearchStage
 from learn2assemble.viewer.html import NUMBER, prose, row
 from learn2assemble.viewer.scene import Mark, ScenePart
-from learn2assemble.viewer.words import percent
+from learn2assemble.viewer.words import newtons, percent
 
 STEP_HEAD = (
     "Step",
@@ -134,8 +134,8 @@ def push_words(margin_g: float, push: float) -> str:
     if margin_g >= LARGEST:
         return "Withstands any sideways push."
     return (
-        f"Withstands a sideways push of {push:.2g} N in every direction, shared by all blocks by "
-        f"weight ({margin_g:.2f} g), or a tilt of {tilt_words(margin_g)}°."
+        f"Withstands a sideways push of {newtons(push)} N in every direction, shared by all blocks "
+        f"by weight ({margin_g:.2f} g), or a tilt of {tilt_words(margin_g)}°."
     )
 
 
@@ -238,7 +238,7 @@ def _row(step: Noted, covered: bool, more: bool) -> str:
         str(part.layer + 1),
         escape(part.block.id),
         escape(note.proof) or "–",
-        f"{push:.2g}"
+        newtons(push)
         if known
         else "any"
         if note.margin_g is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from decimal import Decimal
 
 from learn2assemble.motion.record import BuildRecord, Stage, StepRecord
 from learn2assemble.planning.plan import LARGEST, Plan, Step
@@ -24,6 +25,11 @@ def percent(share: float | None) -> str:
     if share in (0, 1):
         return f"{share:.0%}".replace("%", "\u00a0%")
     return f"{min(100 * share, 99.9) if share < 1 else 100 * share:.1f}\u00a0%"
+
+
+def newtons(force: float) -> str:
+    """Two digits of a force [N] that count, as ``1300``, ``5.2`` and ``0.031``."""
+    return f"{Decimal(f'{force:.2g}'):f}"
 
 
 def placement(step: Step) -> str:

@@ -154,15 +154,15 @@ class Elements:
             self.turns[given] = paths.transform(given)
         made = self.turns[given]
         if made is None:
-            self.not_read["transform with an error"] += 1
+            share = re.search(r"translate[xy]?\([^()]*%", given, re.IGNORECASE)
+            self.not_read[f"transform with {'a percentage' if share else 'an error'}"] += 1
             return IDENTITY
-        words = {"left": "0", "top": "0", "center": "50%", "right": "100%", "bottom": "100%"}
-        origin = re.split(r"[\s,]+", style.get("transform-origin", "").strip())
-        if len(origin) < 2 or given == "none":
+        origin = _origin(style.get("transform-origin", ""))
+        if origin is None or given == "none":
             return made
         x, y = (
-            paths.length(words.get(word, word), along, frame, self.source)
-            for word, along in zip(origin, "xy", strict=False)
+            paths.length(word, along, frame, self.source)
+            for word, along in zip(origin, "xy", strict=True)
         )
         return paths.shift(x, y) @ made @ paths.shift(-x, -y)
 
@@ -302,3 +302,18 @@ class Elements:
             return None if kinds else ((0, 0, 0), 0.0)
         r, g, b, alpha = np.mean(mixed, axis=0).tolist()
         return (round(r), round(g), round(b)), alpha
+
+
+def _origin(text: str) -> tuple[str, str] | None:
+    """Lengths of ``transform-origin`` along x and y; None where browsers drop it.
+
+    One word has ``center`` beside it, and two words may stand in any order.
+    """
+    both = {"center": "50%"}
+    across, down = both | {"left": "0", "right": "100%"}, both | {"top": "0", "bottom": "100%"}
+    x, y = [*re.split(r"[\s,]+", text.strip().lower()), "center"][:2]
+    if x in down and y in across:
+        x, y = y, x
+    x, y = across.get(x, x), down.get(y, y)
+    wrong = paths.pair(x) is None or paths.pair(y) is None
+    return None if wrong and "(" not in text else (x, y)  # What is calculated is refused.

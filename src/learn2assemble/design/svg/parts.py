@@ -88,6 +88,7 @@ def counted(found: Counter[str]) -> str:
         "foreign object": "foreign objects",
         "reference to another file": "references to other files",
         "transform of the whole": "transforms of the whole",
+        "transform with a percentage": "transforms with a percentage",
         "text in a clip path": "texts in clip paths",
     }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from learn2assemble.assembly.appearance import millimetres
 from learn2assemble.assembly.kit import Cell, Kind, Kit, kit_names, load_kit
 from learn2assemble.linear_programs import Clock
+from learn2assemble.planning.tiling.candidates import BlockPlacement
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.planning.tiling.ordering import Ordering
 from learn2assemble.planning.tiling.props import choose_props, unsupported
@@ -40,10 +41,10 @@ def advise(
 ) -> str:
     """What makes a plan of this design complete, in one clause; empty where nothing tried does.
 
-    Tried in this order: more blocks of a heap, for props; a longer block; joints of width 0, the
-    kits of the package, filling what is under an overhang, filling everything down to the table,
-    leaving out the lowest levels so that the base is flat, cells half as large, cells twice as
-    large.
+    Tried in this order: more blocks of a heap, for the design or for props; a longer block; joints
+    of width 0, the kits of the package, filling what is under an overhang, filling everything down
+    to the table, leaving out the lowest levels so that the base is flat, cells half as large, cells
+    twice as large.
 
     Args:
         tiling: that was refused or not found, with the cells that lack support.
@@ -101,15 +102,17 @@ def _trials(tiling: Tiling, kit: Kit, options: dict[str, Any]) -> Iterator[_Tria
     wanted = tiling.wanted
     width = options.get("gap")
     width = kit.joint_gap if width is None else width
-    if lacking := _lacking_for_props(tiling, kit):
+    if lacking := _lacking(tiling, kit, options.get("props_allowed", True)):
+        own = _lacking(tiling, kit, False)
         more = ", ".join(f"{n} x {name}" for name, n in sorted(lacking.items()))
+        why = "" if own == lacking else ", some for props," if own else ", for props,"
         kinds = tuple(
             replace(kind, count=kind.count + lacking[kind.name])
             if kind.count is not None and kind.name in lacking
             else kind
             for kind in kit.kinds
         )
-        yield f"with {more} more, for props, it stands", wanted, replace(kit, kinds=kinds), {}
+        yield f"with {more} more{why} it stands", wanted, replace(kit, kinds=kinds), {}
     for length in _bridging(wanted, tiling.lacking):
         cells = tuple((x, 0, 0) for x in range(length))
         if all(kind.cells != cells for kind in kit.kinds):
@@ -197,18 +200,23 @@ def _run(row: np.ndarray, at: int) -> tuple[int, int]:
     return low, high
 
 
-def _lacking_for_props(tiling: Tiling, kit: Kit) -> dict[str, int]:
-    """How many blocks of which kinds a heap has too few of for the props of a tiling; empty where
-    it has enough, and where no heap would do."""
-    if not kit.limited or tiling.missing:
-        return {}
+def _lacking(tiling: Tiling, kit: Kit, with_props: bool) -> dict[str, int]:
+    """How many blocks of which kinds a heap has too few of for a tiling and, if ``with_props``, for
+    its props; empty where it has enough, and where no heap would do."""
+    have = {kind.name: kind.count for kind in kit.kinds if kind.count is not None}
+
+    def beyond(blocks: Iterable[BlockPlacement]) -> dict[str, int]:
+        used = Counter(block.kind for block in blocks)
+        return {name: used[name] - n for name, n in have.items() if used[name] > n}
+
     structure = replace(tiling, placements=tuple(p for p in tiling.placements if not p.prop))
+    own = beyond(structure.placements)
+    if not with_props or not kit.limited or (tiling.missing and not own):
+        return own
     free = kit.unlimited
     hanging = unsupported(structure, free)
     props = choose_props(structure, free, {b: frozenset((b,)) for b in hanging})
-    used = Counter(block.kind for block in (*structure.placements, *(props or ())))
-    have = {kind.name: kind.count for kind in kit.kinds if kind.count is not None}
-    return {name: used[name] - n for name, n in have.items() if used[name] > n}
+    return beyond((*structure.placements, *(props or ())))
 
 
 def pool(wanted: np.ndarray) -> np.ndarray:

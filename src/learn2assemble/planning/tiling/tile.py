@@ -148,6 +148,8 @@ class CoverRules(NamedTuple):
     """Use exactly so many."""
     open_cost: float = 0.0
     """Where positive, a cell may stay open and a heap may be exceeded at this price."""
+    closed: bool = False
+    """No cell may stay open, only the heap be exceeded."""
     cuts: Sequence[np.ndarray] = ()
     """int64 each: of these candidates at least one is chosen."""
     barred: Sequence[np.ndarray] = ()
@@ -178,7 +180,7 @@ def cover(
         heap does not have, by kind.
     """
     may = np.empty(0, np.int64) if may is None else may
-    counts, exact, open_cost, cuts, barred = rules
+    counts, exact, open_cost, closed, cuts, barred = rules
     limits, number = sorted(counts or {}), np.array([n for _, n in sorted((counts or {}).items())])
     cells = np.concatenate([must, may])
     row_of_cell = np.full(int(cells.max(initial=0)) + 1, -1)
@@ -193,7 +195,8 @@ def cover(
     if open_cost > 0:
         # A block that the heap lacks is a better answer than cells left open.
         sizes = 0.5 * np.array([len(kit.kinds[k].cells) for k in limits])
-        left = model.columns(np.full(len(must), open_cost), 1.0, integer=True)
+        if not closed:
+            left = model.columns(np.full(len(must), open_cost), 1.0, integer=True)
         lack = model.columns(open_cost * sizes, 1e5, integer=True)
     model.rows(
         np.arange(len(cells)) < len(must),
@@ -407,15 +410,18 @@ def tile(
         bonded = not free.left and not free.timed_out and _has(kit, chosen)
     if not bonded:
         found = find_candidates(wanted, kit, shades=shades)
+        cost, must = standing_cost(found), np.flatnonzero(wanted)
+        rules = CoverRules(heap_of(kit), open_cost=COSTS.open_cell)
         answer, picked, open_, short = cover(
-            found,
-            standing_cost(found),
-            np.flatnonzero(wanted),
-            kit=kit,
-            rules=CoverRules(heap_of(kit), open_cost=COSTS.open_cell),
-            seconds=clock.left,
+            found, cost, must, kit=kit, rules=rules, seconds=clock.left
         )
         layers.timed_out = answer.status == "time"
+        if kit.limited and len(open_) and not layers.timed_out:
+            # A few open cells cost less than large blocks that the heap lacks.
+            rules = rules._replace(closed=True)
+            whole = cover(found, cost, must, kit=kit, rules=rules, seconds=clock.left)
+            if whole[0].x is not None:
+                _, picked, _, short = whole
         chosen, left = found.blocks(kit, picked), to_cells(open_, wanted.shape)
         if kit.flat and chosen and not left and not short and clock.left > 0:
             used = Counter((block.kind, block.origin[2]) for block in chosen)
@@ -463,10 +469,10 @@ def _judged(
         reason = f"the heap of kit `{kit.name}` lacks {names}"
         return replace(made, status="refused", reason=reason)
     if made.missing:
-        levels = sorted({z for _, _, z in made.missing})
+        lowest = min(made.missing, key=lambda cell: cell[2])
         reason = (
             f"no blocks of kit `{kit.name}` fill {len(made.missing)} cells exactly, "
-            f"the first at {made.missing[0]}, level {levels[0]}"
+            f"the first at {lowest}, level {lowest[2]}"
         )
         return replace(made, status="refused", reason=reason)
     return made
