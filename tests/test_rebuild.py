@@ -17,7 +17,7 @@ from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.carry_out import carry_out, prepare
 from learn2assemble.cell.crew import Member
 from learn2assemble.cell.pair import jobs_of
-from learn2assemble.cell.site import Site
+from learn2assemble.cell.site import Magazine, Pose, Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.state import Action, Choice
 from learn2assemble.cell.team import set_up_team
@@ -378,6 +378,15 @@ def test_what_leaves_and_comes_back_is_any_block_of_its_kind_for_an_arm() -> Non
     done = carry_out(copied, Workcell("panda", physics="kinematic"), joint=0.0)
     assert done.complete, done.reason
     check_states(done)
+
+
+def test_an_empty_magazine_gives_what_was_taken_away_to_it() -> None:
+    old, new = small_bricks(((4, 5),), ((4, 5),)), small_bricks(((6, 7),))
+    plan = with_copies(rebuild(standing(old), new))
+    site = Site(magazines=(Magazine("1", Pose(0.0, -0.2, 0.0), 0),))
+    done = carry_out(plan, Workcell("panda", site=site, physics="kinematic"), joint=0.0)
+    assert done.complete, done.reason
+    assert [step.action for step in done.steps] == ["remove", "remove", "place"]
 
 
 def test_what_stays_and_is_pushed_over_is_put_back() -> None:
