@@ -17,7 +17,7 @@ from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.carry_out import carry_out, prepare
 from learn2assemble.cell.crew import Member
 from learn2assemble.cell.pair import jobs_of
-from learn2assemble.cell.site import Magazine, Pose, Site
+from learn2assemble.cell.site import Magazine, Pallet, Pose, Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.state import Action, Choice
 from learn2assemble.cell.team import set_up_team
@@ -387,6 +387,22 @@ def test_an_empty_magazine_gives_what_was_taken_away_to_it() -> None:
     done = carry_out(plan, Workcell("panda", site=site, physics="kinematic"), joint=0.0)
     assert done.complete, done.reason
     assert [step.action for step in done.steps] == ["remove", "remove", "place"]
+
+
+def test_what_leaves_where_blocks_wait_on_pallets_goes_to_a_magazine() -> None:
+    old, new = small_bricks(((4, 5),), ((4, 5),)), small_bricks(((2, 3), (4, 5), (6, 7)))
+    plan = with_copies(rebuild(standing(old), new))
+    # One place, as one block is missing.
+    site = Site(pallets=(Pallet("1", Pose(-0.1, -0.25, 0.0), 1, 1, (0.1, 0.1)),))
+    cell = Workcell("panda", site=site, physics="kinematic")
+    found = prepare(plan, cell, 0.0)
+    assert [(s.magazine, s.left) for s in found.job.sources] == [(False, 1), (True, 0)]
+    done = carry_out(plan, cell, joint=0.0, found=found)
+    assert done.complete, done.reason
+    assert [step.action for step in done.steps] == ["remove", "place", "place"]
+    more = with_copies(rebuild(standing(old), small_bricks(((0, 1), (2, 3), (4, 5), (6, 7)))))
+    with pytest.raises(InputError, match="1 of 2 1', expected places for all"):
+        prepare(more, cell, 0.0)
 
 
 def test_what_stays_and_is_pushed_over_is_put_back() -> None:

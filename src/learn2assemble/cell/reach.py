@@ -405,7 +405,8 @@ def set_up(job: Job, name: str, tool: str, site: Site, progress: Progress = sile
     check_held(get_arm(name, tool), pieces, job.assembly.joint.studs)
     order = [step.block for step in job.steps if not step.remove]
     given = given_sources(site, every, order)
-    _check_enough(site, given, [every[k] for k in order if not (job.hands and every[k].prop)])
+    come = [every[k] for k in order if not (job.hands and every[k].prop)]
+    _check_enough(site, given, come, goes(job))
     top = max(p.top for p in every)
     if site.base is not None:
         check_beside_supports(name, site.base, every)
@@ -444,19 +445,28 @@ def set_up(job: Job, name: str, tool: str, site: Site, progress: Progress = sile
     raise _out_of_reach(name, pieces, best, best)
 
 
-def _check_enough(site: Site, given: Sequence[Source], needed: Sequence[Piece]) -> None:
+def goes(job: Job) -> Counter[Shape]:
+    """How many blocks of which shape are taken away of what stands before the first step."""
+    gone = (s.block for s in job.steps if s.remove and s.block in job.standing)
+    return Counter(job.pieces[k].shape for k in gone)
+
+
+def _check_enough(
+    site: Site, given: Sequence[Source], needed: Sequence[Piece], gone: Counter[Shape]
+) -> None:
     """Refuse too few blocks on pallets and at positions, which nobody fills again.
 
     Args:
         given: what a layout names.
-        needed: the blocks that come from there or elsewhere.
+        needed: the blocks that come, from there or elsewhere.
+        gone: how many of a shape are taken away, and come again.
 
     Raises:
         InputError: saying how many blocks of which kind there are, and how many there should be.
     """
     lying, want = (
         Counter(s.shape for s in given if not s.magazine),
-        Counter(p.shape for p in needed),
+        Counter(p.shape for p in needed) - gone,
     )
     names = {piece.shape: piece.name for piece in needed}
     few = [f"{lying[one]} of {want[one]} {names[one]}" for one in lying if lying[one] < want[one]]
@@ -581,8 +591,10 @@ def supplied(
     needed = Counter(job.pieces[step.block].shape for step in job.steps if not step.remove)
     for step in job.steps:
         needed[job.pieces[step.block].shape] += 0  # What only goes has to go somewhere, too.
-    # What a user has given too few of runs empty, and the build waits for more.
-    known = {source.shape for source in given}
+    # What a user has given too few of runs empty, and the build waits for more. Pallets and
+    # positions take nothing back: what goes needs a magazine, which has no blocks but these.
+    back, lying = goes(job), {source.shape for source in given if not source.magazine}
+    known = {source.shape for source in given if source.magazine or not back[source.shape]}
     missing = [shape for shape, _ in needed.most_common() if shape not in known]
     finished = replace(job, sources=())
     cell = KinematicCell(job.arm, cells_of(job))
@@ -613,7 +625,8 @@ def supplied(
                 continue
             got = f"no room for a magazine of kind {of_shape[0].name} within reach"
             raise InputError("supply", got, "a layout with places for it (`layout=`)")
-        source = Source(shape, place, None, True, rests=rests_of(job.pieces, shape))
+        count = 0 if shape in lying else None
+        source = Source(shape, place, count, True, rests=rests_of(job.pieces, shape))
         made.append(source)
         taken.append(source.area.buffer(APART))
     return replace(job, sources=(*given, *made))
