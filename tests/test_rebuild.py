@@ -154,6 +154,22 @@ def test_what_is_missing_comes_from_the_supply_and_what_is_left_over_goes():
     assert standing(fewer).finished.blocks[0].id == "0-1/0"
 
 
+@pytest.mark.parametrize("asked", [0.2, (0.2, 0.7)])
+def test_margins_are_for_the_least_friction_that_was_asked_for(asked: float | tuple[float, float]):
+    old, new = standing(bricks(((0, 1), (2, 3)))), standing(bricks(((0, 1),), ((0, 1),)))
+    plan = build(new, friction=asked, old=old)
+    assert plan.complete
+    assert plan.margin_friction == 0.2
+    assert all(0 < (step.margin_g or 0) <= 0.2 for step in plan.steps)
+    usual = build(new, old=old)
+    assert usual.margin_friction == new.friction
+    assert all((step.margin_g or 0) > 0.2 for step in usual.steps)
+    # Cells stand without any.
+    cells = build(wall(2, 1), kit="bricks", friction=asked, old=standing(planned(wall(4, 1))))
+    assert cells.margin_friction == 0.2
+    assert all(0 < (step.margin_g or 0) <= 0.2 for step in cells.steps if step.margin_g)
+
+
 def test_the_same_structure_needs_no_move():
     plan = planned(wall(7, 3))
     same = rebuild(standing(plan), plan)

@@ -31,6 +31,7 @@ from learn2assemble.planning.plan import LARGEST, Plan, RebuildReport, Step
 from learn2assemble.planning.rebuilding import Rebuilt, count_moves, find_rebuilding
 from learn2assemble.planning.sequence import Sequenced, list_ids, reported
 from learn2assemble.statics.states import State
+from learn2assemble.values import rounded
 
 Progress = Callable[[str], None]
 
@@ -150,7 +151,7 @@ def rebuild(
         planner=plan.planner,
         cells=plan.cells,
         rebuilt=report,
-        margin_friction=whole.friction,
+        margin_friction=rounded(_asked(plan)),
     )
 
 
@@ -163,6 +164,13 @@ def _widths(plan: Plan) -> list[float]:
     low, high = plan.gap_range or (0.0, 0.0)
     narrower = [high / 4**k for k in range(1, 4)]
     return [high, *(width for width in narrower if width > low), *([low] if low < high else [])]
+
+
+def _asked(plan: Plan) -> float:
+    """The friction that margins of a plan are for: the least that was asked for. Blocks may be
+    proven to stand with less."""
+    assert plan.assembly is not None
+    return plan.assembly.friction if plan.margin_friction is None else plan.margin_friction
 
 
 def changed_over(
@@ -188,8 +196,7 @@ def changed_over(
     ends = plan.friction_range or (new.friction, new.friction)
     some = {ends[0], ends[1]} if ends[1] < LARGEST else {ends[0]}
     layers = contact_layers(blocks, faces, every, gap)
-    # As of any plan of cells, margins are those with the friction of the kit.
-    problem = OrderProblem(whole, layers, tuple(sorted(some)), new.friction)
+    problem = OrderProblem(whole, layers, tuple(sorted(some)), _asked(plan))
     site = site_of(problem, whole, problem.layers, Clock(seconds))
     change = Changeover(blocks, goes, stays, kinds_of(blocks), overlaps, lying_on(site.below))
     return change, Forward(site), (float(ends[0]), float(ends[1]))
