@@ -229,7 +229,7 @@ def setup_of(job: Job, workcell: Workcell, structure: Structure | None = None) -
         kinds,
         {world.names[k]: world.pose[k].copy() for k in seen},
         tuple(fixed),
-        job.friction,
+        job.assembly.friction,
         studs=None if structure is None else structure.studs(),
         simulated=workcell.simulated,
     )
