@@ -20,10 +20,10 @@ from learn2assemble.assembly.blocks import Assembly, Block, hull_block
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.instruction_words import facts
 from learn2assemble.assembly.instructions import instructions
-from learn2assemble.cell.carry_out import Workcell, carry_out
+from learn2assemble.cell.carry_out import Workcell, carry_out, prepare, setup_of
 from learn2assemble.cell.pieces import Pose, pieces_of, ways_to_rest, with_rests
 from learn2assemble.cell.reach import check_held
-from learn2assemble.cell.site import Magazine
+from learn2assemble.cell.site import Magazine, Site
 from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.workcell import job_of
 from learn2assemble.cli.commands import _print_plan
@@ -737,3 +737,25 @@ def test_magazines_of_a_layout_stand_on_the_table_about_a_structure() -> None:
             physics="kinematic",
             layout=dataclasses.replace(site, table=(1.5, 1.0)),
         )
+
+
+def test_what_an_arm_builds_in_its_own_order_is_proven_for_the_friction_that_was_asked_for() -> (
+    None
+):
+    blocks = tuple(
+        box_block(name, (x, 0.0, 0.0), (x + 0.05, 0.05, 0.05), kind="cube")
+        for name, x in (("a", 0.0), ("b", 0.051))
+    )
+    alone = plan_assembly(Assembly(blocks), friction=(0.1, 0.6))
+    assert [step.block for step in alone.steps] == [0, 1]
+    # It stands to the left, and places what is farthest first.
+    cell = Workcell("panda", site=Site(base=(-0.5, 0.0, 0.0, 0.0)), physics="kinematic")
+    found = prepare(alone, cell, 0.0)
+    plan = carry_out(alone, cell, joint=0.0, found=found)
+    assert plan.complete
+    assert [step.block for step in plan.steps] == [1, 0]
+    for one in (alone, plan):
+        assert one.margin_friction == 0.1
+        assert all(0 < (step.margin_g or 0) <= 0.1 for step in one.steps)
+    # A simulation has the friction of the blocks.
+    assert setup_of(found.job, cell).friction == Assembly(blocks).friction == 0.5

@@ -10,27 +10,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, hull_block
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.instructions import instructions
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.carry_out import carry_out, prepare
 from learn2assemble.cell.crew import Member
 from learn2assemble.cell.pair import jobs_of
-from learn2assemble.cell.site import Site
+from learn2assemble.cell.site import Magazine, Pallet, Pose, Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.state import Action, Choice
 from learn2assemble.cell.team import set_up_team
 from learn2assemble.cell.workcell import StepOf, Workcell
 from learn2assemble.cell.world import LOOSE, STANDING
 from learn2assemble.cli import main
+from learn2assemble.cli.commands import _print_plan
+from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError
+from learn2assemble.export.cards import step_cards
 from learn2assemble.jobs.build import build
 from learn2assemble.motion.setup import Disturbance
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.rebuild import changed_over, rebuild, with_copies
 from learn2assemble.statics.rigid_blocks import check
 from learn2assemble.statics.states import State
+from learn2assemble.viewer.page import write_plan_page
 
 
 def wall(wide: int, high: int, at: int = 0) -> np.ndarray:
@@ -154,6 +158,22 @@ def test_what_is_missing_comes_from_the_supply_and_what_is_left_over_goes():
     assert standing(fewer).finished.blocks[0].id == "0-1/0"
 
 
+@pytest.mark.parametrize("asked", [0.2, (0.2, 0.7)])
+def test_margins_are_for_the_least_friction_that_was_asked_for(asked: float | tuple[float, float]):
+    old, new = standing(bricks(((0, 1), (2, 3)))), standing(bricks(((0, 1),), ((0, 1),)))
+    plan = build(new, friction=asked, old=old)
+    assert plan.complete
+    assert plan.margin_friction == 0.2
+    assert all(0 < (step.margin_g or 0) <= 0.2 for step in plan.steps)
+    usual = build(new, old=old)
+    assert usual.margin_friction == new.friction
+    assert all((step.margin_g or 0) > 0.2 for step in usual.steps)
+    # Cells stand without any.
+    cells = build(wall(2, 1), kit="bricks", friction=asked, old=standing(planned(wall(4, 1))))
+    assert cells.margin_friction == 0.2
+    assert all(0 < (step.margin_g or 0) <= 0.2 for step in cells.steps if step.margin_g)
+
+
 def test_the_same_structure_needs_no_move():
     plan = planned(wall(7, 3))
     same = rebuild(standing(plan), plan)
@@ -216,6 +236,30 @@ def test_what_stood_from_the_start_is_in_the_file():
         Assembly((block,), (AssemblyStep(remove="a"), *[AssemblyStep(place="a")] * 2))
 
 
+def test_page_and_cards_tell_the_size_of_what_stands_in_the_end(tmp_path):
+    tower, row = bricks(((0, 1),), ((0, 1),)), bricks(((4, 5), (6, 7), (8, 9)))
+    plan = rebuild(standing(tower), row)
+    write_plan_page(plan, tmp_path / "view.html")
+    assert "3 blocks, 500 × 100 × 100 mm, 2 taken away," in (tmp_path / "view.html").read_text()
+    cards = step_cards(standing(plan))
+    assert "3 blocks in 5 steps and 1 layer, told on 5 cards" in cards
+    assert "500 × 100 × 100 mm when the last step is done" in cards
+    # What stays is told, too.
+    stays = rebuild(standing(tower), bricks(((0, 1), (2, 3), (4, 5))))
+    assert "3 blocks in 3 steps and 1 layer" in step_cards(standing(stays))
+
+
+def test_nothing_is_said_to_stand_where_nothing_is_left(tmp_path):
+    plan = rebuild(standing(bricks(((0, 1),))), bricks(((4, 5),)))
+    assert [step.action for step in plan.steps] == ["remove", "place"]
+    write_plan_page(plan, tmp_path / "view.html")
+    page = (tmp_path / "view.html").read_text()
+    assert re.search(r"N sideways, after step 2\b", page)
+    first, second = re.findall(r"<tr data-step=.*?</tr>", page)
+    assert "on bed faces" not in first
+    assert "on bed faces" in second
+
+
 def test_an_old_structure_that_stands_on_narrow_joints_alone_is_turned_into_another():
     """A brick that leans out by almost half, and a new wall that bears joints of centimetres."""
     plan = planned(wall(4, 2))
@@ -249,6 +293,18 @@ def test_what_cannot_be_turned_into_another_is_said():
     large = Assembly((box_block("a", (0, 0, 0), (1, 1, 1), kind="1"),))
     with pytest.raises(InputError, match="the same kit"):
         rebuild(large, new)
+
+
+def test_what_cannot_be_taken_away_or_placed_is_said():
+    # Of two that lean on one another neither goes first; beside them there is room.
+    half = np.array([(0, 0), (0.15, 0), (0.5, 0.4), (0.5, 0.5)])
+    leaning = [
+        hull_block(name, [(abs(far - x), y, z) for x, z in half.tolist() for y in (0, 0.1)])
+        for name, far in (("left", 0.0), ("right", 1.0))
+    ]
+    old, new = Assembly(tuple(leaning)), bricks(((12, 13),))
+    plan = rebuild(old, new)
+    assert plan.reason == "no order without help: none of left, right can be taken away"
 
 
 def test_the_command_line_turns_a_plan_into_another(tmp_path, capsys):
@@ -306,6 +362,10 @@ def test_a_drawing_that_kinds_of_the_old_structure_do_not_fill_is_filled_with_th
         (("--kit", "planks"), "kind of block"),
         (("--from", "new.npy"), "unknown format"),
         (("--kit", "lego", "--cell", "8"), "clutch"),
+        (("--holds", "1"), "holds: got 1, expected none: where a structure stands"),
+        (("--hands",), "hands: got True, expected none: where a structure stands"),
+        (("--supports", "posts"), "supports: got 'posts', expected auto or none: where a"),
+        (("--supports", "props"), "supports: got 'props', expected auto or none: where a"),
     ],
 )
 def test_what_has_no_way_from_one_to_the_other_is_one_line(
@@ -368,6 +428,19 @@ def test_an_arm_turns_one_structure_into_another() -> None:
     assert np.abs(first.before[first.cells[0], :3] - was[name]).max() < 1e-3
 
 
+def test_moves_of_a_plan_that_an_arm_has_carried_out_are_said_to_be_by_hand(capsys) -> None:
+    old, new = small_bricks(((4, 5),), ((4, 5),)), small_bricks(((1, 2), (7, 8)))
+    plan = with_copies(rebuild(standing(old), new))
+    done = carry_out(plan, Workcell("panda", physics="kinematic"), joint=0.0)
+    assert done.complete, done.reason
+    # One after the other they go to a magazine, and come from there.
+    assert [step.action for step in done.steps] == ["remove", "remove", "place", "place"]
+    assert done.rebuilt == plan.rebuilt
+    for one, said in ((plan, "2 moves (no order"), (done, "2 moves by hand (no order")):
+        _print_plan(Output(as_json=False), one, {})
+        assert said in capsys.readouterr().out
+
+
 def test_what_leaves_and_comes_back_is_any_block_of_its_kind_for_an_arm() -> None:
     old, new = small_bricks(((0, 2),), ((0, 1),)), small_bricks(((0, 1),), ((0, 1),))
     plan = rebuild(standing(old), new)
@@ -378,6 +451,31 @@ def test_what_leaves_and_comes_back_is_any_block_of_its_kind_for_an_arm() -> Non
     done = carry_out(copied, Workcell("panda", physics="kinematic"), joint=0.0)
     assert done.complete, done.reason
     check_states(done)
+
+
+def test_an_empty_magazine_gives_what_was_taken_away_to_it() -> None:
+    old, new = small_bricks(((4, 5),), ((4, 5),)), small_bricks(((6, 7),))
+    plan = with_copies(rebuild(standing(old), new))
+    site = Site(magazines=(Magazine("1", Pose(0.0, -0.2, 0.0), 0),))
+    done = carry_out(plan, Workcell("panda", site=site, physics="kinematic"), joint=0.0)
+    assert done.complete, done.reason
+    assert [step.action for step in done.steps] == ["remove", "remove", "place"]
+
+
+def test_what_leaves_where_blocks_wait_on_pallets_goes_to_a_magazine() -> None:
+    old, new = small_bricks(((4, 5),), ((4, 5),)), small_bricks(((2, 3), (4, 5), (6, 7)))
+    plan = with_copies(rebuild(standing(old), new))
+    # One place, as one block is missing.
+    site = Site(pallets=(Pallet("1", Pose(-0.1, -0.25, 0.0), 1, 1, (0.1, 0.1)),))
+    cell = Workcell("panda", site=site, physics="kinematic")
+    found = prepare(plan, cell, 0.0)
+    assert [(s.magazine, s.left) for s in found.job.sources] == [(False, 1), (True, 0)]
+    done = carry_out(plan, cell, joint=0.0, found=found)
+    assert done.complete, done.reason
+    assert [step.action for step in done.steps] == ["remove", "place", "place"]
+    more = with_copies(rebuild(standing(old), small_bricks(((0, 1), (2, 3), (4, 5), (6, 7)))))
+    with pytest.raises(InputError, match="1 of 2 1', expected places for all"):
+        prepare(more, cell, 0.0)
 
 
 def test_what_stays_and_is_pushed_over_is_put_back() -> None:

@@ -381,18 +381,21 @@ def test_blocks_come_from_where_the_layout_says(window: Plan, tmp_path: Path) ->
     stands_where_it_should(carry_out(window, quick(site=site)))
 
 
-def test_a_magazine_that_runs_empty_pauses_the_build(window: Plan, tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", [0, 1])
+def test_a_magazine_that_runs_empty_pauses_the_build(
+    window: Plan, tmp_path: Path, count: int
+) -> None:
     kinds, log = [step.kind or "" for step in window.steps], tmp_path / "build.jsonl"
     kind = max(kinds, key=kinds.count)
     assert kinds.count(kind) > 1
-    site = Site(magazines=(Magazine(kind, Pose(0.0, -0.2), 1),))
+    site = Site(magazines=(Magazine(kind, Pose(0.0, -0.2), count),))
     paused = carry_out(window, quick(site=site, log=log))
     assert paused.status == "incomplete"
     # What is lacking is told of its own kind alone; what lies on it waits.
     waiting = len(window.steps) - len(paused.steps) - 1
     told = f"({kind}) cannot be placed: no {kind} is left in the supply"
     assert (paused.reason or "").partition(" ")[2] == f"{told}; {waiting} more wait for that"
-    assert 0 < len(paused.steps) < len(window.steps)
+    assert bool(count) <= len(paused.steps) < len(window.steps)
     filled = Site(magazines=(Magazine(kind, Pose(0.0, -0.2), 99),))
     whole = carry_out(window, quick(site=filled, log=log))
     stands_where_it_should(whole)

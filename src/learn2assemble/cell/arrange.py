@@ -234,7 +234,8 @@ def ends_of(world: WorkcellBlocks, step: StepOf) -> Iterator[tuple[np.ndarray | 
     if step.group:
         yield None, world.pieces[k].pose + np.array([*step.to, 0.0, 0.0, 0.0, 0.0])
         return
-    for source in supply_of(world, k):
+    # An order is one of places: a magazine that is empty is filled by what goes, or by somebody.
+    for source in supply_of(world, k) or world.magazines(k):
         at = world.presented(k, source)
         yield (None, at) if step.remove else (at, world.target(k))
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -119,7 +119,7 @@ def carry_out(
         plan = plan_in_order(plan, order.steps)
     progress("starting the simulation" if plant is None else "looking at the cell")
     setup = setup_of(job, workcell, found.structure)
-    plant = simulated(setup) if plant is None else plant
+    plant = plant or cast("Plant", simulated(setup))
     seen = through_cameras(plant, setup, job.pieces, workcell.site.cameras)
     kept = Kept.of(seen)
     words, witness = words_of(job, workcell), Witness(plant)
@@ -217,7 +217,7 @@ def setup_of(job: Job, workcell: Workcell, structure: Structure | None = None) -
         kinds,
         {world.names[k]: world.pose[k].copy() for k in seen},
         tuple(fixed),
-        job.friction,
+        job.assembly.friction,
         studs=None if structure is None else structure.studs(),
         simulated=workcell.simulated,
     )

@@ -76,6 +76,12 @@ def takes_away(job: Job) -> bool:
     return True
 
 
+def goes(job: Job) -> Counter[Shape]:
+    """How many blocks of which shape are taken away of what stands before the first step."""
+    gone = (s.block for s in job.steps if s.remove and s.block in job.standing)
+    return Counter(job.pieces[k].shape for k in gone)
+
+
 def supplied(
     job: Job,
     given: Sequence[Source],
@@ -101,8 +107,10 @@ def supplied(
     needed = Counter(job.pieces[step.block].shape for step in job.steps if not step.remove)
     for step in job.steps:
         needed[job.pieces[step.block].shape] += 0  # What only goes has to go somewhere, too.
-    # What a user has given too few of runs empty, and the build waits for more.
-    known = {source.shape for source in given}
+    # What a user has given too few of runs empty, and the build waits for more. Pallets and
+    # positions take nothing back: what goes needs a magazine, which has no blocks but these.
+    back, lying = goes(job), {source.shape for source in given if not source.magazine}
+    known = {source.shape for source in given if source.magazine or not back[source.shape]}
     missing = [shape for shape, _ in needed.most_common() if shape not in known]
     finished = replace(job, sources=())
     cell = KinematicCell(job.arm)
@@ -133,7 +141,8 @@ def supplied(
                 continue
             got = f"no room for a magazine of kind {of_shape[0].name} within reach"
             raise InputError("supply", got, "a layout with places for it (`layout=`)")
-        source = Source(shape, place, None, True, rests=rests_of(job.pieces, shape))
+        count = 0 if shape in lying else None
+        source = Source(shape, place, count, True, rests=rests_of(job.pieces, shape))
         made.append(source)
         taken.append(source.area.buffer(APART))
     return replace(job, sources=(*given, *made))

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from learn2assemble.cell.magazines import supplied, takes_away
+from learn2assemble.cell.magazines import goes, supplied, takes_away
 from learn2assemble.cell.pieces import (
     QUARTER,
     Piece,
@@ -369,7 +369,8 @@ def set_up(job: Job, name: str, tool: str, site: Site, progress: Progress = sile
     check_held(get_arm(name, tool), pieces, job.assembly.joint.studs)
     order = [step.block for step in job.steps if not step.remove]
     given = given_sources(site, every, order)
-    _check_enough(site, given, [every[k] for k in order if not (job.hands and every[k].prop)])
+    come = [every[k] for k in order if not (job.hands and every[k].prop)]
+    _check_enough(site, given, come, goes(job))
     top = max(p.top for p in every)
     if site.base is not None:
         check_beside_supports(name, site.base, every)
@@ -408,19 +409,22 @@ def set_up(job: Job, name: str, tool: str, site: Site, progress: Progress = sile
     raise _out_of_reach(name, pieces, best, best)
 
 
-def _check_enough(site: Site, given: Sequence[Source], needed: Sequence[Piece]) -> None:
+def _check_enough(
+    site: Site, given: Sequence[Source], needed: Sequence[Piece], gone: Counter[Shape]
+) -> None:
     """Refuse too few blocks on pallets and at positions, which nobody fills again.
 
     Args:
         given: what a layout names.
-        needed: the blocks that come from there or elsewhere.
+        needed: the blocks that come, from there or elsewhere.
+        gone: how many of a shape are taken away, and come again.
 
     Raises:
         InputError: saying how many blocks of which kind there are, and how many there should be.
     """
     lying, want = (
         Counter(s.shape for s in given if not s.magazine),
-        Counter(p.shape for p in needed),
+        Counter(p.shape for p in needed) - gone,
     )
     names = {piece.shape: piece.name for piece in needed}
     few = [f"{lying[one]} of {want[one]} {names[one]}" for one in lying if lying[one] < want[one]]

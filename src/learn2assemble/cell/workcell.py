@@ -113,6 +113,7 @@ class Job:
     sources: tuple[Source, ...]
     obstacles: tuple[Obstacle, ...] = ()
     friction: float = 0.5
+    """For which states are proven that the plan does not have: the least that was asked for."""
     joint: float = 1e-4
     """Width of a vertical joint [m]."""
     hands: bool = False
@@ -150,6 +151,7 @@ def job_of(plan: Plan, arm: str, joint: float, hands: bool = False, holding: boo
             too many convex parts.
     """
     assert plan.assembly is not None
+    least = plan.margin_friction
     holds = sum(step.action == "hold" for step in plan.steps)
     if holds and not holding:
         expected = "a plan without holds; one arm has one hand"
@@ -165,7 +167,7 @@ def job_of(plan: Plan, arm: str, joint: float, hands: bool = False, holding: boo
         plan.assembly,
         get_arm(arm),
         (),
-        friction=plan.assembly.friction,
+        friction=plan.assembly.friction if least is None else least,
         joint=joint,
         hands=hands,
         standing=tuple(sorted(standing, key=lambda k: float(pieces[k].extent[0][2]))),

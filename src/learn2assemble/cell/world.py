@@ -149,11 +149,13 @@ class WorkcellBlocks:
         self.pose[piece] = pose
 
     def magazine(self, piece: int) -> int | None:
-        """The magazine of its shape, if there is one."""
+        """The first magazine of its shape, if there is one."""
+        return next(iter(self.magazines(piece)), None)
+
+    def magazines(self, piece: int) -> list[int]:
+        """All magazines of its shape, empty ones too."""
         shape = self.pieces[piece].shape
-        return next(
-            (n for n, s in enumerate(self.job.sources) if s.magazine and s.shape == shape), None
-        )
+        return [n for n, s in enumerate(self.job.sources) if s.magazine and s.shape == shape]
 
     def drawn(self, piece: int) -> np.ndarray:
         """float64[7]: the pose it has in the finished structure, or beside it where it is built
@@ -404,11 +406,7 @@ def supply_of(world: WorkcellBlocks, k: int) -> list[int]:
     """Sources a block can come from; for a prop, those it may return to."""
     if world.source[k] is not None:
         return [n for n in (world.source[k],) if n is not None]
-    shape = world.pieces[k].shape
-    return [
-        n
-        for n, source in enumerate(world.job.sources)
-        if source.magazine
-        and source.shape == shape
-        and (source.left is None or world.used[n] < source.left)
-    ]
+    left = [source.left for source in world.job.sources]
+    there = zip(left, world.used, strict=True)
+    some = [count is None or used < count for count, used in there]
+    return [n for n in world.magazines(k) if some[n]]

@@ -12,6 +12,7 @@ from learn2assemble.assembly.blocks import Assembly, AssemblyStep
 from learn2assemble.planning import plan as plans
 from learn2assemble.planning.plan import Plan, PlanDesign, Step
 from learn2assemble.planning.sequence import Sequenced
+from learn2assemble.values import rounded
 
 
 def plan_of(
@@ -74,5 +75,6 @@ def plan_of(
         verified_by="rigid-block equilibrium of every step",
         friction_range=ends,
         gap_range=gaps,
+        margin_friction=rounded(ends[0]),
         assembly=blocks,
     )

@@ -32,6 +32,7 @@ from learn2assemble.planning.plan import LARGEST, Plan, RebuildReport, Step
 from learn2assemble.planning.rebuilding import Rebuilt, count_moves, find_rebuilding
 from learn2assemble.planning.sequence import Sequenced, list_ids, reported
 from learn2assemble.statics.states import State
+from learn2assemble.values import rounded
 
 Progress = Callable[[str], None]
 
@@ -123,9 +124,8 @@ def rebuild(
     steps = tuple(reported(rules.laws, rules.law, begin, found.steps))
     reason = None
     if not found.complete:
-        names = list_ids(blocks, found.stuck)
         late = f"time ran out after {seconds:g} s"
-        reason = late if clock.left <= 0 else f"no order without help: none of {names} comes next"
+        reason = late if clock.left <= 0 else f"no order without help: {_what_is_stuck(tried)}"
     status = "complete" if found.complete else "not found"
     made = Sequenced(blocks, steps, status, reason, found.stuck)
     whole = replace(
@@ -151,8 +151,19 @@ def rebuild(
         planner=plan.planner,
         cells=plan.cells,
         rebuilt=report,
-        margin_friction=whole.friction,
+        margin_friction=rounded(_asked(plan)),
     )
+
+
+def _what_is_stuck(tried: _Tried) -> str:
+    """What can neither be placed nor taken away where an order ends too early, in words."""
+    blocks, there = tried.change.blocks, tried.change.old.copy()
+    for action, block, *_ in tried.found.steps:
+        there[block] = action == "place"
+    coming = list_ids(blocks, (k for k in tried.found.stuck if not there[k]))
+    going = list_ids(blocks, (k for k in tried.found.stuck if there[k]))
+    said = [f"none of {coming} can be placed"] * bool(coming)
+    return " and ".join([*said, *[f"none of {going} can be taken away"] * bool(going)])
 
 
 def _widths(plan: Plan) -> list[float]:
@@ -164,6 +175,13 @@ def _widths(plan: Plan) -> list[float]:
     low, high = plan.gap_range or (0.0, 0.0)
     narrower = [high / 4**k for k in range(1, 4)]
     return [high, *(width for width in narrower if width > low), *([low] if low < high else [])]
+
+
+def _asked(plan: Plan) -> float:
+    """The friction that margins of a plan are for: the least that was asked for. Blocks may be
+    proven to stand with less."""
+    assert plan.assembly is not None
+    return plan.assembly.friction if plan.margin_friction is None else plan.margin_friction
 
 
 def changed_over(
@@ -189,8 +207,7 @@ def changed_over(
     ends = plan.friction_range or (new.friction, new.friction)
     some = {ends[0], ends[1]} if ends[1] < LARGEST else {ends[0]}
     layers = contact_layers(blocks, faces, every, gap)
-    # As of any plan of cells, margins are those with the friction of the kit.
-    problem = OrderProblem(whole, layers, tuple(sorted(some)), new.friction)
+    problem = OrderProblem(whole, layers, tuple(sorted(some)), _asked(plan))
     site = site_of(problem, whole, problem.layers, Clock(seconds))
     change = Changeover(blocks, goes, stays, kinds_of(blocks), overlaps, lying_on(site.below))
     return change, Forward(site), (float(ends[0]), float(ends[1]))

@@ -152,6 +152,7 @@ def report_plan(
         wait = kit.joint.age if step.wait else None
         steps.append(replace(made.with_proof(step.proof, step.margin_g), wait_h=wait))
     low, high = ordered.friction_range
+    least = ordered.margin_friction
     return Plan(
         design=PlanDesign(
             name=design.name,
@@ -190,6 +191,7 @@ def report_plan(
         verified_by="static equilibrium of every step",
         friction_range=(round(low, 6), round(min(high, plans.LARGEST), 6)),
         gap_range=ordered.gap_range,
+        margin_friction=None if least is None else rounded(least),
         assembly=assembly,
     )
 

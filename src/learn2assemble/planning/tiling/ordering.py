@@ -98,6 +98,8 @@ class Ordering:
     falls: tuple[int, ...] = ()
     """Placements that would move if the next one were placed."""
     seconds: float = 0.0
+    margin_friction: float | None = None
+    """That margins are for: the least that was asked for."""
 
 
 class Coupled:
@@ -284,6 +286,7 @@ def order(
         tuple(stuck),
         falls,
         clock.spent,
+        ends[0],
     )
 
 
