@@ -322,6 +322,10 @@ def test_a_drawing_that_kinds_of_the_old_structure_do_not_fill_is_filled_with_th
         (("--kit", "planks"), "kind of block"),
         (("--from", "new.npy"), "unknown format"),
         (("--kit", "lego", "--cell", "8"), "clutch"),
+        (("--holds", "1"), "holds: got 1, expected none: where a structure stands"),
+        (("--hands",), "hands: got True, expected none: where a structure stands"),
+        (("--supports", "posts"), "supports: got 'posts', expected auto or none: where a"),
+        (("--supports", "props"), "supports: got 'props', expected auto or none: where a"),
     ],
 )
 def test_what_has_no_way_from_one_to_the_other_is_one_line(

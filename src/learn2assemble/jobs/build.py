@@ -200,6 +200,14 @@ def build(
     choice = PlannerChoice(planner or EXACT, agent, seed)
     how = None
     standing = None if old is None else _read_old(old)
+    if standing is not None:
+        alone = "where a structure stands, nothing is held and no prop comes"
+        check_arguments(
+            {"holds": holds, "hands": hands, "supports": supports},
+            ("holds", not holds, f"none: {alone}"),
+            ("hands", not hands, f"none: {alone}"),
+            ("supports", supports in ("auto", "none"), f"auto or none: {alone}"),
+        )
     if standing is not None and len(arms) > 1 and physics == PLANNED:
         got = f"{physics}, for two arms where a structure stands"
         raise InputError("physics", got, PHYSICS[0])
