@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, hull_block
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.instructions import instructions
 from learn2assemble.assembly.kit import load_kit
@@ -265,6 +265,18 @@ def test_what_cannot_be_turned_into_another_is_said():
     large = Assembly((box_block("a", (0, 0, 0), (1, 1, 1), kind="1"),))
     with pytest.raises(InputError, match="the same kit"):
         rebuild(large, new)
+
+
+def test_what_cannot_be_taken_away_or_placed_is_said():
+    # Of two that lean on one another neither goes first; beside them there is room.
+    half = np.array([(0, 0), (0.15, 0), (0.5, 0.4), (0.5, 0.5)])
+    leaning = [
+        hull_block(name, [(abs(far - x), y, z) for x, z in half.tolist() for y in (0, 0.1)])
+        for name, far in (("left", 0.0), ("right", 1.0))
+    ]
+    old, new = Assembly(tuple(leaning)), bricks(((12, 13),))
+    plan = rebuild(old, new)
+    assert plan.reason == "no order without help: none of left, right can be taken away"
 
 
 def test_the_command_line_turns_a_plan_into_another(tmp_path, capsys):

@@ -123,9 +123,8 @@ def rebuild(
     steps = tuple(reported(rules.laws, rules.law, begin, found.steps))
     reason = None
     if not found.complete:
-        names = list_ids(blocks, found.stuck)
         late = f"time ran out after {seconds:g} s"
-        reason = late if clock.left <= 0 else f"no order without help: none of {names} comes next"
+        reason = late if clock.left <= 0 else f"no order without help: {_what_is_stuck(tried)}"
     status = "complete" if found.complete else "not found"
     made = Sequenced(blocks, steps, status, reason, found.stuck)
     whole = replace(
@@ -153,6 +152,17 @@ def rebuild(
         rebuilt=report,
         margin_friction=rounded(_asked(plan)),
     )
+
+
+def _what_is_stuck(tried: _Tried) -> str:
+    """What can neither be placed nor taken away where an order ends too early, in words."""
+    blocks, there = tried.change.blocks, tried.change.old.copy()
+    for action, block, *_ in tried.found.steps:
+        there[block] = action == "place"
+    coming = list_ids(blocks, (k for k in tried.found.stuck if not there[k]))
+    going = list_ids(blocks, (k for k in tried.found.stuck if there[k]))
+    said = [f"none of {coming} can be placed"] * bool(coming)
+    return " and ".join([*said, *[f"none of {going} can be taken away"] * bool(going)])
 
 
 def _widths(plan: Plan) -> list[float]:
