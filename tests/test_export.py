@@ -18,9 +18,10 @@ import pytest
 import trimesh
 
 from cell_shapes import wall
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.files import read_assembly
+from learn2assemble.assembly.instructions import instructions
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.export.formats import FORMATS, bill_of_blocks, export_assembly, step_cards
@@ -107,13 +108,36 @@ def test_the_bill_of_an_incomplete_plan_says_what_is_not_placed(bridge: Assembly
     blocks = tuple(replace(block, colour=None) for block in bridge.blocks)
 
     def told(steps: tuple[AssemblyStep, ...]) -> dict[str, tuple[str, str, str]]:
-        text = bill_of_blocks(Assembly(blocks, steps))
+        text = bill_of_blocks(Assembly(blocks, steps).as_far_as_placed())
         rows = csv.DictReader(io.StringIO(text))
         return {r["kind"]: (r["built_in"], r["placed"], r["not_placed"]) for r in rows}
 
     whole = {"1x1": ("2", "2", "0"), "1x3": ("1", "1", "0")}
     assert told(bridge.steps) == told(()) == whole
     assert told(bridge.steps[:1]) == {"1x1": ("2", "1", "1"), "1x3": ("1", "0", "1")}
+
+
+def test_what_is_taken_away_and_comes_again_is_billed_once() -> None:
+    def cube(name: str, x: float, z: float) -> Block:
+        return box_block(name, (x, 0, z), (x + 0.1, 0.1, z + 0.1), kind="cube")
+
+    # Of a tower of three two go to their new places, one more comes.
+    old = [cube(f"t{n}", 0.0, n / 10) for n in range(3)]
+    new = [cube(f"r{n}", 0.1 * n, 0.0) for n in range(1, 4)]
+    steps = (
+        AssemblyStep(place="r3"),
+        AssemblyStep(remove="t2"),
+        AssemblyStep(place="r1"),
+        AssemblyStep(remove="t1"),
+        AssemblyStep(place="r2"),
+    )
+    for count, want in ((5, ("4", "3", "0")), (4, ("4", "2", "1"))):
+        made = Assembly((*old, *new), steps[:count]).as_far_as_placed(b.id for b in old)
+        (row,) = csv.DictReader(io.StringIO(bill_of_blocks(made)))
+        assert (row["built_in"], row["placed"], row["not_placed"]) == want
+        assert row["total"] == "4"
+    (line,) = instructions(made).bill
+    assert line.built + line.standing == 4
 
 
 def test_cards_have_one_card_a_step(bridge: Assembly) -> None:

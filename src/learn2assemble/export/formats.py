@@ -41,21 +41,33 @@ def bill_of_blocks(assembly: Assembly) -> str:
     Kinds are the shapes of page and cards, and called as there; ``shape`` is their letters, several
     where blocks of one line have other colours there, as props have. Sizes are those of the shape
     as it is drawn. A prop that is removed again may be used again, so ``props`` is the largest
-    number of a kind that stands at one time. ``placed`` and ``not_placed`` are how many of
-    ``built_in`` the steps place and leave over, as those of an incomplete plan do; without steps,
-    all are placed. Posts have a line for every cut: the section of the bar (``length_m``,
-    ``width_m``), its longest (``height_m``) and shortest upright edge, and the angles of the faces
-    of its top from level.
+    number of a kind that stands at one time. What stands from the start is ``built_in``, too, and
+    what has been taken away may come again as another block: it counts once. ``placed`` is how many
+    of what stands at last the steps have placed, ``not_placed`` how many an incomplete plan leaves
+    over; without steps, all are placed. Posts have a line for every cut: the section of the bar
+    (``length_m``, ``width_m``), its longest (``height_m``) and shortest upright edge, and the
+    angles of the faces of its top from level.
     """
     shapes = shapes_of(assembly)
     entry = _entries(assembly, shapes)
-    built = Counter(entry[b.id] for b in assembly.blocks if not b.prop and not b.support)
+    own = [not (b.prop or b.support) for b in assembly.blocks]
     peak: Counter[_Entry] = Counter()
     standing: Counter[_Entry] = Counter()
+    came: Counter[_Entry] = Counter()
+    supplied: Counter[_Entry] = Counter()
     for step in assembly.steps:
+        change = {"place": 1, "remove": -1}.get(step.action, 0)
         if assembly.block(step.block).prop:
-            standing[entry[step.block]] += {"place": 1, "remove": -1}.get(step.action, 0)
+            standing[entry[step.block]] += change
             peak |= standing
+        else:
+            came[entry[step.block]] += change
+            supplied |= came
+    left = Counter(entry[id_] for id_ in assembly.not_built if own[assembly.index(id_)])
+    came.update(left)
+    first = assembly.at_first if assembly.steps else own
+    pairs = zip(assembly.blocks, first, own, strict=True)
+    built = Counter(entry[b.id] for b, *both in pairs if all(both)) + (supplied | came)
     if not assembly.steps:
         peak = Counter(entry[b.id] for b in assembly.blocks if b.prop)
     ordered = {step.place for step in assembly.steps}
@@ -64,7 +76,7 @@ def bill_of_blocks(assembly: Assembly) -> str:
         for b in assembly.finished.blocks
         if not b.prop and not b.support and (b.id in ordered or not assembly.steps)
     )
-    first = {entry[b.id]: b for b in reversed(assembly.blocks)}
+    one_of = {entry[b.id]: b for b in reversed(assembly.blocks)}
     letters: dict[_Entry, set[str]] = {}
     for block in assembly.blocks:
         letters.setdefault(entry[block.id], set()).add(shapes.shape(block).letter)
@@ -88,12 +100,12 @@ def bill_of_blocks(assembly: Assembly) -> str:
     )
     writer.writerow(head)
     for key in sorted(built | peak):
-        shape, cut = shapes.shape(first[key]), _cut(first[key])
+        shape, cut = shapes.shape(one_of[key]), _cut(one_of[key])
         size = sorted(shape.size[:2], reverse=True)
         sizes = (*size, float(shape.size[2])) if cut is None else cut[:3]
         row = [shape.kind, key[1], built[key], peak[key], built[key] + peak[key]]
-        row += [f"{number:.6g}" for number in (*sizes, first[key].mass)]
-        row += [placed[key], built[key] - placed[key]]
+        row += [f"{number:.6g}" for number in (*sizes, one_of[key].mass)]
+        row += [placed[key], left[key]]
         row += ["", ""] if cut is None else [f"{cut.shortest:.6g}", _angles(cut)]
         row += [" ".join(sorted(letters[key], key=lambda word: (len(word), word)))]
         writer.writerow(row)
