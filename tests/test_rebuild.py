@@ -25,12 +25,14 @@ from learn2assemble.cell.workcell import StepOf, Workcell
 from learn2assemble.cell.world import LOOSE, STANDING
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError
+from learn2assemble.export.cards import step_cards
 from learn2assemble.jobs.build import build
 from learn2assemble.motion.setup import Disturbance
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.rebuild import changed_over, rebuild, with_copies
 from learn2assemble.statics.rigid_blocks import check
 from learn2assemble.statics.states import State
+from learn2assemble.viewer.page import write_plan_page
 
 
 def wall(wide: int, high: int, at: int = 0) -> np.ndarray:
@@ -230,6 +232,30 @@ def test_what_stood_from_the_start_is_in_the_file():
     assert whole.at_first == (True,)
     with pytest.raises(InputError, match="a new one"):
         Assembly((block,), (AssemblyStep(remove="a"), *[AssemblyStep(place="a")] * 2))
+
+
+def test_page_and_cards_tell_the_size_of_what_stands_in_the_end(tmp_path):
+    tower, row = bricks(((0, 1),), ((0, 1),)), bricks(((4, 5), (6, 7), (8, 9)))
+    plan = rebuild(standing(tower), row)
+    write_plan_page(plan, tmp_path / "view.html")
+    assert "3 blocks, 500 × 100 × 100 mm, 2 taken away," in (tmp_path / "view.html").read_text()
+    cards = step_cards(standing(plan))
+    assert "3 blocks in 5 steps and 1 layer, told on 5 cards" in cards
+    assert "500 × 100 × 100 mm when the last step is done" in cards
+    # What stays is told, too.
+    stays = rebuild(standing(tower), bricks(((0, 1), (2, 3), (4, 5))))
+    assert "3 blocks in 3 steps and 1 layer" in step_cards(standing(stays))
+
+
+def test_nothing_is_said_to_stand_where_nothing_is_left(tmp_path):
+    plan = rebuild(standing(bricks(((0, 1),))), bricks(((4, 5),)))
+    assert [step.action for step in plan.steps] == ["remove", "place"]
+    write_plan_page(plan, tmp_path / "view.html")
+    page = (tmp_path / "view.html").read_text()
+    assert re.search(r"N sideways, after step 2\b", page)
+    first, second = re.findall(r"<tr data-step=.*?</tr>", page)
+    assert "on bed faces" not in first
+    assert "on bed faces" in second
 
 
 def test_an_old_structure_that_stands_on_narrow_joints_alone_is_turned_into_another():

@@ -241,7 +241,7 @@ def corner_words(shape: BlockShape) -> str:
 def facts(told: Instructions) -> tuple[str, ...]:
     """What is said at the head of instructions."""
     placements = told.placements
-    blocks = sum(not p.prop and p.action == "place" for p in placements)
+    blocks = sum(not (b.prop or b.support) for b in told.assembly.finished.blocks)
     found = [
         f"{count_words(blocks, 'block')} in {count_words(len(placements), 'step')} and "
         f"{count_words(len({group.layer for group in told.groups}), 'layer')}, told on "

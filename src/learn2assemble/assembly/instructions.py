@@ -228,7 +228,9 @@ def _groups(assembly: Assembly, placements: list[Placement], floor: float) -> li
     """What every card tells; ``floor`` is the height of O [m, world]."""
     heights = np.array([block.vertices[:, 2].min() for block in assembly.blocks]) - floor
     layers: list[float] = []
-    for height in np.sort(heights[[p.block for p in placements]]).tolist():
+    # What only goes has no layer of its own.
+    come = [p.block for p in placements if p.action == "place"]
+    for height in np.sort(heights[come or [p.block for p in placements]]).tolist():
         if not layers or height > layers[-1] + 1e-4:
             layers.append(height)
     found, seen, held = list[Group](), set[int](), frozenset[int]()
@@ -237,7 +239,7 @@ def _groups(assembly: Assembly, placements: list[Placement], floor: float) -> li
             held = held ^ {p.block} if p.action in HANDS else held
         group = Group(number, tuple(members), 0, 0.0, False, held)
         height = float(heights[group.main.block])
-        layer = int(np.searchsorted(np.array(layers) - 1e-9, height, side="right"))
+        layer = max(int(np.searchsorted(np.array(layers) - 1e-9, height, side="right")), 1)
         first = layer not in seen and group.main.action == "place"
         seen |= {layer} if first else set[int]()
         found.append(replace(group, layer=layer, level=height, first=first))

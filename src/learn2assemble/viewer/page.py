@@ -156,7 +156,7 @@ def render_assembly_page(
         "behind": f'<p class="behind" id="behind" hidden>{SEEN_FROM_BEHIND}</p>' * front,
     }
     asked = plan is not None and not plan.complete and not steps
-    low, high = _corners(parts)
+    low, high = _corners(_built(parts))
     least = None if plan is None else plan.margin_friction
     words = tables.summary(assembly, _once(parts), high - low, least)
     page["summary"] = escape(f"Nothing is built. The design as blocks: {words}" if asked else words)
@@ -416,13 +416,13 @@ def _least_push(plan: Plan) -> str | None:
         return None
     blocks = plan.assembly.blocks
     mass = {block.id: 0.0 if block.support else block.mass for block in blocks}
-    total = sum(
-        mass[b.id] for b, first in zip(blocks, plan.assembly.at_first, strict=True) if first
-    )
+    there = [b for b, first in zip(blocks, plan.assembly.at_first, strict=True) if first]
+    total, count = sum(mass[b.id] for b in there), sum(not b.support for b in there)
     pushes = list[tuple[float, int]]()
     for done, step in zip(plan.assembly.steps, plan.steps, strict=True):
-        total += mass[done.block] * {"place": 1, "remove": -1}.get(done.action, 0)
-        if step.margin_g is not None and step.margin_g < LARGEST:
+        change = {"place": 1, "remove": -1}.get(done.action, 0)
+        total, count = total + mass[done.block] * change, count + change
+        if count and step.margin_g is not None and step.margin_g < LARGEST:
             pushes.append((step.margin_g * total * GRAVITY, step.step))
     if not pushes:
         return None

@@ -161,14 +161,17 @@ def noted_steps(
         for number in (part.placed, part.removed, *chain.from_iterable(part.holds))
     }
     free = [p for p in parts if not p.placed and not p.block.support]
-    mass = sum(part.block.mass for part in free)
+    mass, count = sum(part.block.mass for part in free), len(free)
     found: list[Noted] = []
     held: tuple[str, ...] = ()
     placements = told.placements if told.assembly.steps else []
     for placement, note in zip(placements, notes, strict=True):
         part = of_step[placement.number]
-        mass += part.block.mass * {"place": 1, "remove": -1}.get(placement.action, 0)
+        change = {"place": 1, "remove": -1}.get(placement.action, 0)
+        mass, count = mass + part.block.mass * change, count + change
         weight = mass * GRAVITY
+        if not count:  # Nothing is left of which it could be said that it stands.
+            note = note._replace(proof="", margin_g=None)
         held = tuple(id_ for id_ in held if id_ != part.block.id)
         found.append(Noted(placement.number, part, placement, note, weight, filled, held))
         held += (part.block.id,) if placement.action == "hold" else ()
@@ -186,7 +189,7 @@ def summary(
     Args:
         assembly: what stands.
         parts: one stay of every block.
-        extent: float64[3], of all of it [m].
+        extent: float64[3], of all of it but what is taken away [m].
         friction: for which it is proven, where that is not the assembly's own.
     """
     props = sum(part.block.prop for part in parts)
