@@ -24,6 +24,8 @@ from learn2assemble.cell.team import set_up_team
 from learn2assemble.cell.workcell import StepOf, Workcell
 from learn2assemble.cell.world import LOOSE, STANDING
 from learn2assemble.cli import main
+from learn2assemble.cli.commands import _print_plan
+from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError
 from learn2assemble.export.cards import step_cards
 from learn2assemble.jobs.build import build
@@ -424,6 +426,19 @@ def test_an_arm_turns_one_structure_into_another() -> None:
     first = done.record.steps[0]
     name = done.record.names[[cells[0] for cells in done.record.objects].index(first.cells[0])]
     assert np.abs(first.before[first.cells[0], :3] - was[name]).max() < 1e-3
+
+
+def test_moves_of_a_plan_that_an_arm_has_carried_out_are_said_to_be_by_hand(capsys) -> None:
+    old, new = small_bricks(((4, 5),), ((4, 5),)), small_bricks(((1, 2), (7, 8)))
+    plan = with_copies(rebuild(standing(old), new))
+    done = carry_out(plan, Workcell("panda", physics="kinematic"), joint=0.0)
+    assert done.complete, done.reason
+    # One after the other they go to a magazine, and come from there.
+    assert [step.action for step in done.steps] == ["remove", "remove", "place", "place"]
+    assert done.rebuilt == plan.rebuilt
+    for one, said in ((plan, "2 moves (no order"), (done, "2 moves by hand (no order")):
+        _print_plan(Output(as_json=False), one, {})
+        assert said in capsys.readouterr().out
 
 
 def test_what_leaves_and_comes_back_is_any_block_of_its_kind_for_an_arm() -> None:

@@ -389,7 +389,10 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path], compiled: fl
         needed = f"{plan.design.success_threshold:.1%}"
         output.say(f"coverage {plan.coverage:.1%} of the target, more than {needed} is needed")
     if (made := plan.rebuilt) is not None:
-        output.say(f"{made.moves} moves (no order without help has fewer than {made.moves_bound})")
+        moves = "moves by hand" if plan.arm or plan.arms else "moves"
+        output.say(
+            f"{made.moves} {moves} (no order without help has fewer than {made.moves_bound})"
+        )
         output.say(f"{made.kept} blocks stay, {made.taken} are taken away, {made.placed} placed")
     if plan.steps and plan.margin_g is not None:
         left = plan.without_margin

@@ -14,7 +14,8 @@ Seconds = Annotated[float, Range(0, 1e9)]
 
 @dataclass(frozen=True)
 class RebuildReport:
-    """From a structure that stands already: how its blocks become those of the new one."""
+    """From a structure that stands already: how its blocks become those of the new one, by hand; an
+    arm that carries it out has an order of its own and puts every block that goes in a magazine."""
 
     moves: Count
     """Blocks that are carried from one place to another. A block that is taken away right before
