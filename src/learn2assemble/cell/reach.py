@@ -404,9 +404,9 @@ def set_up(job: Job, name: str, tool: str, site: Site, progress: Progress = sile
     pieces = [p for p in every if not (p.fixed or (job.hands and p.prop))]
     check_held(get_arm(name, tool), pieces, job.assembly.joint.studs)
     order = [step.block for step in job.steps if not step.remove]
-    given = given_sources(site, every, order)
+    given = given_sources(site, every, order, _gone(job))
     come = [every[k] for k in order if not (job.hands and every[k].prop)]
-    _check_enough(site, given, come, goes(job))
+    _check_enough(site, given, come, [every[k] for k in _gone(job)])
     top = max(p.top for p in every)
     if site.base is not None:
         check_beside_supports(name, site.base, every)
@@ -445,28 +445,27 @@ def set_up(job: Job, name: str, tool: str, site: Site, progress: Progress = sile
     raise _out_of_reach(name, pieces, best, best)
 
 
-def goes(job: Job) -> Counter[Shape]:
-    """How many blocks of which shape are taken away of what stands before the first step."""
-    gone = (s.block for s in job.steps if s.remove and s.block in job.standing)
-    return Counter(job.pieces[k].shape for k in gone)
+def _gone(job: Job) -> list[int]:
+    """The pieces that are taken away of what stands before the first step."""
+    return [step.block for step in job.steps if step.remove and step.block in job.standing]
 
 
 def _check_enough(
-    site: Site, given: Sequence[Source], needed: Sequence[Piece], gone: Counter[Shape]
+    site: Site, given: Sequence[Source], needed: Sequence[Piece], gone: Sequence[Piece]
 ) -> None:
     """Refuse too few blocks on pallets and at positions, which nobody fills again.
 
     Args:
         given: what a layout names.
         needed: the blocks that come, from there or elsewhere.
-        gone: how many of a shape are taken away, and come again.
+        gone: those that are taken away, and come again.
 
     Raises:
         InputError: saying how many blocks of which kind there are, and how many there should be.
     """
     lying, want = (
         Counter(s.shape for s in given if not s.magazine),
-        Counter(p.shape for p in needed) - gone,
+        Counter(p.shape for p in needed) - Counter(p.shape for p in gone),
     )
     names = {piece.shape: piece.name for piece in needed}
     few = [f"{lying[one]} of {want[one]} {names[one]}" for one in lying if lying[one] < want[one]]
@@ -593,8 +592,9 @@ def supplied(
         needed[job.pieces[step.block].shape] += 0  # What only goes has to go somewhere, too.
     # What a user has given too few of runs empty, and the build waits for more. Pallets and
     # positions take nothing back: what goes needs a magazine, which has no blocks but these.
-    back, lying = goes(job), {source.shape for source in given if not source.magazine}
-    known = {source.shape for source in given if source.magazine or not back[source.shape]}
+    lying = {source.shape for source in given if not source.magazine}
+    known = {source.shape for source in given} - {job.pieces[k].shape for k in _gone(job)}
+    known |= {source.shape for source in given if source.magazine}
     missing = [shape for shape, _ in needed.most_common() if shape not in known]
     finished = replace(job, sources=())
     cell = KinematicCell(job.arm, cells_of(job))
