@@ -124,8 +124,13 @@ def test_what_is_taken_away_and_comes_again_is_billed_once() -> None:
     # Of a tower of three two go to their new places, one more comes.
     old = [cube(f"t{n}", 0.0, n / 10) for n in range(3)]
     new = [cube(f"r{n}", 0.1 * n, 0.0) for n in range(1, 4)]
-    names = (("place", "r3"), ("remove", "t2"), ("place", "r1"), ("remove", "t1"), ("place", "r2"))
-    steps = tuple(AssemblyStep(**{action: name}) for action, name in names)
+    steps = (
+        AssemblyStep(place="r3"),
+        AssemblyStep(remove="t2"),
+        AssemblyStep(place="r1"),
+        AssemblyStep(remove="t1"),
+        AssemblyStep(place="r2"),
+    )
     for count, want in ((5, ("4", "3", "0")), (4, ("4", "2", "1"))):
         made = Assembly((*old, *new), steps[:count]).as_far_as_placed(b.id for b in old)
         (row,) = csv.DictReader(io.StringIO(bill_of_blocks(made)))

@@ -462,6 +462,15 @@ def test_an_empty_magazine_gives_what_was_taken_away_to_it() -> None:
     assert [step.action for step in done.steps] == ["remove", "remove", "place"]
 
 
+def test_what_only_leaves_goes_to_the_magazine_of_a_layout() -> None:
+    old, new = small_bricks(((4, 5),), ((4, 5),)), small_bricks(((4, 5),))
+    plan = with_copies(rebuild(standing(old), new))
+    site = Site(magazines=(Magazine("1", Pose(0.1, -0.25, 0.0), 0),))
+    found = prepare(plan, Workcell("panda", site=site, physics="kinematic"), 0.0)
+    assert [tuple(source.pose[:2]) for source in found.job.sources] == [(0.1, -0.25)]
+    assert [step.remove for step in found.order.steps] == [True]
+
+
 def test_what_leaves_where_blocks_wait_on_pallets_goes_to_a_magazine() -> None:
     old, new = small_bricks(((4, 5),), ((4, 5),)), small_bricks(((2, 3), (4, 5), (6, 7)))
     plan = with_copies(rebuild(standing(old), new))

@@ -76,10 +76,9 @@ def takes_away(job: Job) -> bool:
     return True
 
 
-def goes(job: Job) -> Counter[Shape]:
-    """How many blocks of which shape are taken away of what stands before the first step."""
-    gone = (s.block for s in job.steps if s.remove and s.block in job.standing)
-    return Counter(job.pieces[k].shape for k in gone)
+def gone(job: Job) -> list[int]:
+    """The pieces that are taken away of what stands before the first step."""
+    return [step.block for step in job.steps if step.remove and step.block in job.standing]
 
 
 def supplied(
@@ -109,8 +108,9 @@ def supplied(
         needed[job.pieces[step.block].shape] += 0  # What only goes has to go somewhere, too.
     # What a user has given too few of runs empty, and the build waits for more. Pallets and
     # positions take nothing back: what goes needs a magazine, which has no blocks but these.
-    back, lying = goes(job), {source.shape for source in given if not source.magazine}
-    known = {source.shape for source in given if source.magazine or not back[source.shape]}
+    lying = {source.shape for source in given if not source.magazine}
+    known = {source.shape for source in given} - {job.pieces[k].shape for k in gone(job)}
+    known |= {source.shape for source in given if source.magazine}
     missing = [shape for shape, _ in needed.most_common() if shape not in known]
     finished = replace(job, sources=())
     cell = KinematicCell(job.arm)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from learn2assemble.cell.magazines import goes, supplied, takes_away
+from learn2assemble.cell.magazines import gone, supplied, takes_away
 from learn2assemble.cell.pieces import (
     QUARTER,
     Piece,
@@ -368,9 +368,9 @@ def set_up(job: Job, name: str, tool: str, site: Site, progress: Progress = sile
     pieces = [p for p in every if not (p.fixed or (job.hands and p.prop))]
     check_held(get_arm(name, tool), pieces, job.assembly.joint.studs)
     order = [step.block for step in job.steps if not step.remove]
-    given = given_sources(site, every, order)
+    given = given_sources(site, every, order, gone(job))
     come = [every[k] for k in order if not (job.hands and every[k].prop)]
-    _check_enough(site, given, come, goes(job))
+    _check_enough(site, given, come, [every[k] for k in gone(job)])
     top = max(p.top for p in every)
     if site.base is not None:
         check_beside_supports(name, site.base, every)
@@ -410,21 +410,21 @@ def set_up(job: Job, name: str, tool: str, site: Site, progress: Progress = sile
 
 
 def _check_enough(
-    site: Site, given: Sequence[Source], needed: Sequence[Piece], gone: Counter[Shape]
+    site: Site, given: Sequence[Source], needed: Sequence[Piece], gone: Sequence[Piece]
 ) -> None:
     """Refuse too few blocks on pallets and at positions, which nobody fills again.
 
     Args:
         given: what a layout names.
         needed: the blocks that come, from there or elsewhere.
-        gone: how many of a shape are taken away, and come again.
+        gone: those that are taken away, and come again.
 
     Raises:
         InputError: saying how many blocks of which kind there are, and how many there should be.
     """
     lying, want = (
         Counter(s.shape for s in given if not s.magazine),
-        Counter(p.shape for p in needed) - gone,
+        Counter(p.shape for p in needed) - Counter(p.shape for p in gone),
     )
     names = {piece.shape: piece.name for piece in needed}
     few = [f"{lying[one]} of {want[one]} {names[one]}" for one in lying if lying[one] < want[one]]

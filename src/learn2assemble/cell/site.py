@@ -372,15 +372,20 @@ def rests_of(pieces: Sequence[Piece], shape: Shape) -> tuple[Turn, ...]:
     return tuple(sorted({turn_key(piece.rest) for piece in pieces if piece.shape == shape}))
 
 
-def given_sources(site: Site, pieces: Sequence[Piece], order: Sequence[int]) -> list[Source]:
+def given_sources(
+    site: Site, pieces: Sequence[Piece], order: Sequence[int], gone: Sequence[int] = ()
+) -> list[Source]:
     """The sources a layout names, for the pieces of a plan in the order they are needed.
+
+    Args:
+        gone: pieces that are only taken away, to magazines.
 
     Raises:
         InputError: for a kind the plan does not use, places that overlap or lie off the table.
     """
     check_kinds(site, {piece.kind for piece in pieces})
     shapes: dict[str, list[Shape]] = {}
-    for k in order:
+    for k in (*order, *gone):
         known = shapes.setdefault(pieces[k].kind, [])
         if pieces[k].shape not in known:
             known.append(pieces[k].shape)
