@@ -146,6 +146,26 @@ def test_mjcf_stands_in_mujoco(bridge: Assembly, tmp_path: Path) -> None:
         assert np.abs(data.body(id_).xipos - place).max() < 2e-3
 
 
+@pytest.mark.parametrize("foot", [None, -0.3])
+def test_mjcf_has_no_ground_but_its_supports(foot: float | None, tmp_path: Path) -> None:
+    """Blocks in a pit, and a post that was left there, stay where they are: no plane is in it."""
+    low, posts = -0.2 if foot is None else foot, int(foot is not None)
+    blocks = (
+        box_block("slab", (0, 0, -0.3), (0.5, 0.5, -0.2), support=True),
+        box_block("low", (0.1, 0.1, -0.2), (0.2, 0.2, -0.1)),
+        box_block("high", (0.1, 0.1, -0.1), (0.2, 0.2, 0.05)),
+        box_block("post", (0.6, 0.1, low), (0.7, 0.2, low + 0.2), prop=True),
+    )
+    placed = [AssemblyStep(place=b.id) for b in blocks[1 : 3 + posts]]
+    made = Assembly(blocks[: 3 + posts], tuple(placed))
+    model = mujoco.MjModel.from_xml_path(str(export_assembly(made, "mjcf", tmp_path)))
+    assert mujoco.mjtGeom.mjGEOM_PLANE not in model.geom_type
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 300)
+    for block in made.blocks:
+        assert np.allclose(data.body(block.id).xipos, block.centroid, atol=1e-4)
+
+
 def test_mjcf_of_a_block_that_is_not_convex(tmp_path: Path) -> None:
     """An L of three cubes has its centre of mass and its mass in the model, too."""
     low = box_block("a", (0, 0, 0), (2, 1, 1))
