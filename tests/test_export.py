@@ -146,7 +146,7 @@ def test_mjcf_stands_in_mujoco(bridge: Assembly, tmp_path: Path) -> None:
         assert np.abs(data.body(id_).xipos - place).max() < 2e-3
 
 
-@pytest.mark.parametrize("foot", [None, -0.3])
+@pytest.mark.parametrize("foot", [None, -0.3, 0.0])
 def test_mjcf_has_no_ground_but_its_supports(foot: float | None, tmp_path: Path) -> None:
     """Blocks in a pit, and a post that was left there, stay where they are: no plane is in it."""
     low, posts = -0.2 if foot is None else foot, int(foot is not None)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from learn2assemble.assembly.contacts import ground_of
+from learn2assemble.assembly.cuts import ground_of
 from learn2assemble.cell.pieces import ON_TABLE, Piece, pieces_of
 from learn2assemble.cell.site import Obstacle, Site, Source
 from learn2assemble.errors import InputError
