@@ -87,14 +87,16 @@ def arm_report(
         for step in building.known.planned
         if step not in building.known.by_hand and step.plain not in others
     )
-    measured = measure(building, plant, {step.block for step in others})
+    told = plant if workcell.strays else None  # Else nothing can be off, which tells nothing.
+    measured = measure(building, told, {step.block for step in others})
+    seconds = round(building.recording.recorder.now, 2)
     planed = len(planed_props(job.assembly))
     return ArmReport(
         workcell.arm,
         _pitch(job),
         attempts,
         failures,
-        round(building.recording.recorder.now, 2),
+        seconds if seconds or workcell.physics != "kinematic" else None,
         workcell.tool,
         base,
         len(job.sources),

@@ -100,6 +100,13 @@ class Workcell:
         noise = self.noise if isinstance(self.noise, Noise) else Noise(*self.noise)
         return Simulated(self.physics, self.seed, noise, disturbance)
 
+    @property
+    def strays(self) -> bool:
+        """Whether blocks of its simulation may end elsewhere than they are told to."""
+        told = self.simulated
+        chance = told.noise != Noise() or told.disturbance != Disturbance()
+        return told.physics != "kinematic" or chance or bool(self.site.cameras)
+
 
 @dataclass(frozen=True, eq=False)
 class Job:
