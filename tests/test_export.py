@@ -20,8 +20,9 @@ import trimesh
 from cell_shapes import wall
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep
 from learn2assemble.assembly.boxes import box_block
-from learn2assemble.assembly.files import read_assembly
+from learn2assemble.assembly.files import read_assembly, write_assembly
 from learn2assemble.assembly.kit import load_kit
+from learn2assemble.cli import main
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.export.formats import FORMATS, bill_of_blocks, export_assembly, step_cards
 from learn2assemble.export.pictures import booklet
@@ -177,6 +178,25 @@ def test_mjcf_of_a_block_that_is_not_convex(tmp_path: Path) -> None:
     mujoco.mj_forward(model, data)
     assert np.allclose(data.body("L").xipos, [5 / 6, 0.5, 5 / 6], atol=1e-6)
     assert model.body("L").mass[0] == pytest.approx(3000)
+
+
+@pytest.mark.parametrize("format", ["mjcf", "compas", "assembly"])
+def test_check_and_exports_of_what_is_not_all_built_say_so(
+    bridge: Assembly, format: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Both look at what stands in the end, which of a refused plan is not the whole structure."""
+    some = replace(bridge, steps=bridge.steps[:2], not_built=("lintel", "prop"))
+    part, whole = str(tmp_path / "part.json"), str(tmp_path / "whole.json")
+    write_assembly(some, part)
+    write_assembly(bridge, whole)
+    words = "2 of 3; lintel is not built"
+    assert main(["check", part]) == 0
+    assert words in " ".join(capsys.readouterr().out.split())
+    assert main(["export", part, "--format", format, "--out", str(tmp_path / "some")]) == 0
+    assert f"blocks: {words}" in capsys.readouterr().out
+    main(["check", whole])
+    assert main(["export", whole, "--format", format, "--out", str(tmp_path / "all")]) == 0
+    assert "not built" not in capsys.readouterr().out
 
 
 class _Tags(HTMLParser):

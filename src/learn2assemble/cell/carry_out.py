@@ -121,10 +121,8 @@ def carry_out(
         return _refused(plan, found, workcell, advise(plan, workcell, joint, progress))
     if plan.assembly.holds:
         plan = plan_in_order(plan, order.steps)
-    simulated = (
-        "moving the blocks" if workcell.physics == "kinematic" else "starting the simulation"
-    )
-    progress(simulated if plant is None else "looking at the cell")
+    begins = "moving the blocks" if workcell.physics == "kinematic" else "starting the simulation"
+    progress(begins if plant is None else "looking at the cell")
     setup = setup_of(job, workcell, found.structure)
     plant = plant or open_plant("sim://", setup)
     seen = through_cameras(plant, setup, job.pieces, workcell.site.cameras)

@@ -261,14 +261,22 @@ def export_assembly(
         UnknownNameError: naming the nearest format.
         InputError: for a file that cannot be read, and one that is there already.
     """
-    name, write = FORMATS[format]
-    file = file_at(path, name)
-    check_new(file, format, assembly, overwrite=overwrite)  # Before anything is read.
+    _, write = FORMATS[format]
+    file = check_target(assembly, format, path, overwrite=overwrite)  # Before anything is read.
     if isinstance(assembly, str | Path):
         assembly = read_assembly(assembly)
     if not isinstance(assembly, Assembly):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InputError("assembly", assembly, "an Assembly (of a plan its .assembly), or a file")
     write(assembly, file)
+    return file
+
+
+def check_target(
+    assembly: object, format: str, path: str | Path, *, overwrite: bool = False
+) -> Path:
+    """The file to write; arguments and errors as of :func:`export_assembly`."""
+    file = file_at(path, FORMATS[format][0])
+    check_new(file, format, assembly, overwrite=overwrite)
     return file
 
 
