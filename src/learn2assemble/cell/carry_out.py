@@ -24,7 +24,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.linear_programs import Clock
 from learn2assemble.motion.plant import Plant, PlantError
-from learn2assemble.motion.safety import Safety, guarded
+from learn2assemble.motion.safety import Safety, check_home, guarded
 from learn2assemble.motion.setup import BlockKind, Setup, open_plant
 from learn2assemble.planning.brick_plan import with_hands
 from learn2assemble.planning.plan import Plan, Status
@@ -71,6 +71,7 @@ def prepare(
         raise InputError("design", got, "none that clutch, for an arm")
     progress("looking where the arm stands and where blocks wait")
     job = set_up(job, workcell.arm, workcell.tool, workcell.site, progress)
+    check_home(job.arm, workcell.site.safety)
     progress("looking for an order that the arm can do")
     cell = KinematicCell(job.arm, cells_of(job))
     hands = [Hands(job, cell)]

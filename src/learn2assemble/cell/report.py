@@ -75,10 +75,11 @@ def arm_report(
         ArmFailure(
             d.number,
             d.outcome,
-            f"{d.what} {building.world.pieces[d.block].id}, {d.stage}: {d.detail}",
+            f"{', '.join(filter(None, (moved, d.stage)))}: {d.detail}",
             False,
         )
         for d in building.known.attempts()
+        for moved in (f"{d.what} {building.world.pieces[d.block].id}",)
         if d.outcome != Outcome.REACHED.label
     )
     attempts = len(building.known.attempts())
