@@ -116,6 +116,12 @@ def test_volume_moves_with_the_block(
         ({"density": 0.0}, "density"),
         ({"density": float("inf")}, "density"),
         ({"id": ""}, "block id"),
+        ({"colour": (300, 0, 0)}, "colour"),
+        ({"colour": (0.5, 0, 0)}, "colour"),
+        ({"colour": "red"}, "colour"),
+        ({"support": "yes"}, "support"),
+        ({"prop": 1}, "prop"),
+        ({"kind": None}, "kind"),
     ],
 )
 def test_what_is_no_block_is_refused(change: dict[str, Any], words: str) -> None:
@@ -123,6 +129,13 @@ def test_what_is_no_block_is_refused(change: dict[str, Any], words: str) -> None
     with pytest.raises(InputError, match=words) as error:
         Block(**whole)
     assert "\n" not in str(error.value)
+
+
+def test_fields_of_numpy_are_fields_of_a_block() -> None:
+    values = {"colour": np.array([1, 2, 3], np.uint8), "support": np.bool_(True)}
+    block = box_block("b", (0, 0, 0), (1, 1, 1), **values)
+    assert (block.colour, block.support) == ((1, 2, 3), True)
+    assert json.loads(json.dumps(to_json(Assembly((block,)))))["blocks"][0]["colour"] == [1, 2, 3]
 
 
 def test_what_is_no_assembly_is_refused() -> None:
