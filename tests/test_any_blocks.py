@@ -628,12 +628,12 @@ def test_an_arm_builds_an_arch_on_piers_that_stand(physics: str) -> None:
     assert plan.complete, plan.reason
     assert plan.blocks.used == 7
     assert {step.action for step in plan.steps} == {"place", "remove"}  # Posts come and go.
-    assert plan.arm is not None
-    assert plan.arm.error_worst is not None
-    assert plan.arm.error_worst < 1e-3
     assert plan.assembly is not None
     assert l2a.check(plan.assembly).verdict == "stands"
     if physics == "dynamic":
+        assert plan.arm is not None
+        assert plan.arm.error_worst is not None
+        assert plan.arm.error_worst < 1e-3
         again = l2a.run(plan)
         assert again.complete, again.reason
 

@@ -268,6 +268,7 @@ def test_outcomes_have_the_names_of_the_contract() -> None:
         "toppled",
         "dropped",
         "no-contact",
+        "stopped",
     ]
     assert Outcome.REACHED == 0
 

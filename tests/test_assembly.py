@@ -116,6 +116,12 @@ def test_volume_moves_with_the_block(
         ({"density": 0.0}, "density"),
         ({"density": float("inf")}, "density"),
         ({"id": ""}, "block id"),
+        ({"colour": (300, 0, 0)}, "colour"),
+        ({"colour": (0.5, 0, 0)}, "colour"),
+        ({"colour": "red"}, "colour"),
+        ({"support": "yes"}, "support"),
+        ({"prop": 1}, "prop"),
+        ({"kind": None}, "kind"),
     ],
 )
 def test_what_is_no_block_is_refused(change: dict[str, Any], words: str) -> None:
@@ -123,6 +129,13 @@ def test_what_is_no_block_is_refused(change: dict[str, Any], words: str) -> None
     with pytest.raises(InputError, match=words) as error:
         Block(**whole)
     assert "\n" not in str(error.value)
+
+
+def test_fields_of_numpy_are_fields_of_a_block() -> None:
+    values = {"colour": np.array([1, 2, 3], np.uint8), "support": np.bool_(True)}
+    block = box_block("b", (0, 0, 0), (1, 1, 1), **values)
+    assert (block.colour, block.support) == ((1, 2, 3), True)
+    assert json.loads(json.dumps(to_json(Assembly((block,)))))["blocks"][0]["colour"] == [1, 2, 3]
 
 
 def test_what_is_no_assembly_is_refused() -> None:
@@ -421,6 +434,52 @@ def test_the_ground_of_compas_is_a_block_where_it_was_moved_or_is_not_alone() ->
         else:
             nodes["1"]["is_support"] = True
         assert [b.support for b in from_compas(document).blocks][3:] == [True]
+
+
+def of_parts() -> dict[str, Any]:
+    """The tower as an assembly of COMPAS's own, whose nodes hold parts."""
+    document = json.loads(json.dumps(to_compas(tower())))
+    graph = document["data"]["graph"]["data"]
+    nodes = {key: node["block"] for key, node in graph["node"].items() if not node.get("ground")}
+    frame = {"point": [0.0, 0.0, 0.0], "xaxis": [1.0, 0.0, 0.0], "yaxis": [0.0, 1.0, 0.0]}
+    for key, mesh in nodes.items():
+        attributes = {"name": mesh["data"].pop("attributes")["name"], "geometry": mesh}
+        data = {"attributes": attributes, "key": int(key), "frame": dict(frame), "features": []}
+        graph["node"][key] = {"part": {"dtype": "compas.datastructures/Part", "data": data}}
+    graph["node"] = {key: graph["node"][key] for key in nodes}
+    return {"dtype": "compas.datastructures/Assembly", "data": {"attributes": {}, "graph": graph}}
+
+
+def test_parts_of_an_assembly_of_compas_are_blocks() -> None:
+    document = of_parts()
+    nodes = document["data"]["graph"]["node"]
+    nodes["0"]["is_support"] = True
+    nodes["1"]["part"]["data"]["attributes"]["density"] = 3000
+    found, meant = from_compas(document), tower()
+    assert [b.id for b in found.blocks] == [b.id for b in meant.blocks]
+    for block, other in zip(found.blocks, meant.blocks, strict=True):
+        assert np.allclose(block.vertices, other.vertices)
+    assert [b.support for b in found.blocks] == [True, False, False]
+    assert [b.density for b in found.blocks] == [1000, 3000, 1000]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"frame": {"point": [0.0, 0.0, 1.0]}}, "part.frame"),
+        ({"attributes": {"geometry": {"dtype": "compas.geometry/Box", "data": {}}}}, "Box"),
+        ({"attributes": {}}, "geometry: got None, expected a Mesh"),
+    ],
+)
+def test_parts_without_a_mesh_in_its_place_are_refused(change: dict[str, Any], words: str) -> None:
+    document = of_parts()
+    nodes = document["data"]["graph"]["node"]
+    nodes["1"]["part"]["data"] |= change
+    with pytest.raises(InputError, match=words):
+        from_compas(document)
+    nodes["1"] = {}
+    with pytest.raises(InputError, match="a part of compas whose geometry is a Mesh"):
+        from_compas(document)
 
 
 def test_compas_structure() -> None:

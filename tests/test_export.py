@@ -20,9 +20,10 @@ import trimesh
 from cell_shapes import wall
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
 from learn2assemble.assembly.boxes import box_block
-from learn2assemble.assembly.files import read_assembly
+from learn2assemble.assembly.files import read_assembly, write_assembly
 from learn2assemble.assembly.instructions import instructions
 from learn2assemble.assembly.kit import load_kit
+from learn2assemble.cli import main
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.export.formats import FORMATS, bill_of_blocks, export_assembly, step_cards
 from learn2assemble.export.pictures import booklet
@@ -170,6 +171,26 @@ def test_mjcf_stands_in_mujoco(bridge: Assembly, tmp_path: Path) -> None:
         assert np.abs(data.body(id_).xipos - place).max() < 2e-3
 
 
+@pytest.mark.parametrize("foot", [None, -0.3, 0.0])
+def test_mjcf_has_no_ground_but_its_supports(foot: float | None, tmp_path: Path) -> None:
+    """Blocks in a pit, and a post that was left there, stay where they are: no plane is in it."""
+    low, posts = -0.2 if foot is None else foot, int(foot is not None)
+    blocks = (
+        box_block("slab", (0, 0, -0.3), (0.5, 0.5, -0.2), support=True),
+        box_block("low", (0.1, 0.1, -0.2), (0.2, 0.2, -0.1)),
+        box_block("high", (0.1, 0.1, -0.1), (0.2, 0.2, 0.05)),
+        box_block("post", (0.6, 0.1, low), (0.7, 0.2, low + 0.2), prop=True),
+    )
+    placed = [AssemblyStep(place=b.id) for b in blocks[1 : 3 + posts]]
+    made = Assembly(blocks[: 3 + posts], tuple(placed))
+    model = mujoco.MjModel.from_xml_path(str(export_assembly(made, "mjcf", tmp_path)))
+    assert mujoco.mjtGeom.mjGEOM_PLANE not in model.geom_type
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 300)
+    for block in made.blocks:
+        assert np.allclose(data.body(block.id).xipos, block.centroid, atol=1e-4)
+
+
 def test_mjcf_of_a_block_that_is_not_convex(tmp_path: Path) -> None:
     """An L of three cubes has its centre of mass and its mass in the model, too."""
     low = box_block("a", (0, 0, 0), (2, 1, 1))
@@ -181,6 +202,25 @@ def test_mjcf_of_a_block_that_is_not_convex(tmp_path: Path) -> None:
     mujoco.mj_forward(model, data)
     assert np.allclose(data.body("L").xipos, [5 / 6, 0.5, 5 / 6], atol=1e-6)
     assert model.body("L").mass[0] == pytest.approx(3000)
+
+
+@pytest.mark.parametrize("format", ["mjcf", "compas", "assembly"])
+def test_check_and_exports_of_what_is_not_all_built_say_so(
+    bridge: Assembly, format: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Both look at what stands in the end, which of a refused plan is not the whole structure."""
+    some = replace(bridge, steps=bridge.steps[:2], not_built=("lintel", "prop"))
+    part, whole = str(tmp_path / "part.json"), str(tmp_path / "whole.json")
+    write_assembly(some, part)
+    write_assembly(bridge, whole)
+    words = "2 of 3; lintel is not built"
+    assert main(["check", part]) == 0
+    assert words in " ".join(capsys.readouterr().out.split())
+    assert main(["export", part, "--format", format, "--out", str(tmp_path / "some")]) == 0
+    assert f"blocks: {words}" in capsys.readouterr().out
+    main(["check", whole])
+    assert main(["export", whole, "--format", format, "--out", str(tmp_path / "all")]) == 0
+    assert "not built" not in capsys.readouterr().out
 
 
 class _Tags(HTMLParser):

@@ -21,8 +21,8 @@ from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, hull_b
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.files import write_assembly
 from learn2assemble.assembly.instruction_words import corner_words
-from learn2assemble.assembly.instructions import MOST_TOGETHER, instructions
-from learn2assemble.assembly.shapes import rotation
+from learn2assemble.assembly.instructions import MOST_TOGETHER, instructions, shapes_of
+from learn2assemble.assembly.shapes import corners_at, rotation
 from learn2assemble.cli import main
 from learn2assemble.export.cards import step_cards
 from learn2assemble.export.formats import bill_of_blocks
@@ -55,6 +55,18 @@ def test_the_house_is_large_has_props_and_colours() -> None:
     assert sum(not block.prop for block in placed) >= 60
     assert any(block.prop for block in placed)
     assert len({block.colour for block in placed if not block.prop}) == 3
+
+
+def test_blocks_of_a_tenth_of_a_millimetre_are_told_too() -> None:
+    """As metres are read that were taken for millimetres: no corner stands for another one."""
+    blocks = [replace(block, vertices=block.vertices / 2000) for block in arch().blocks]
+    shapes = shapes_of(Assembly(tuple(blocks)))
+    assert len(shapes.found) == 1
+    for block in blocks:
+        pose = shapes.pose(block)
+        told = corners_at(pose.shape.corners, pose.position, pose.turn) + shapes.origin
+        away = np.linalg.norm(told[:, None] - block.vertices, axis=-1)
+        assert away.min(0).max() < 1e-3 * block.extent
 
 
 def test_a_wrong_number_is_noticed() -> None:

@@ -182,7 +182,7 @@ def test_an_arm_tells_what_is_looked_for_and_how_far_that_is(
         "choosing blocks and proving their order",
         "looking where the arm stands and where blocks wait",
         "looking for an order that the arm can do",
-        "starting the simulation",
+        "moving the blocks",
     ]
     for what in (
         "kinds of blocks with a place to wait: 1 of ",
@@ -325,6 +325,23 @@ def test_what_the_arm_refuses_is_not_said_to_be_impossible(
     both = "--tool suction-side / tool='suction-side'"
     assert both in html.unescape(page)
     assert both in str(l2a.load_plan(tmp_path).reason)
+
+
+def test_of_the_kinematic_cell_no_times_and_errors_are_told(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Nothing moved there, and nothing could be off."""
+    told: list[str] = []
+    row = np.ones((2, 1, 1), bool)
+    plan = l2a.build(row, arm="ur5e", physics="kinematic", progress=told.append)
+    assert plan.arm is not None
+    assert plan.arm.attempts == len(plan.steps)
+    assert (plan.arm.seconds, plan.arm.error_mean, plan.arm.error_worst) == (None, None, None)
+    print_plan(Output(False), plan, {})
+    lines = capsys.readouterr().out.splitlines()
+    assert f"{plan.arm.attempts} attempts (1.000 a step)" in lines
+    assert not any("robot time" in line or "from their places" in line for line in lines)
+    assert "starting the simulation" not in told
 
 
 def test_a_summary_fits_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:

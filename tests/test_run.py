@@ -331,11 +331,13 @@ def test_an_eye_that_sees_what_is_not_there_ends_the_run(cell: Cell) -> None:
 
 
 def test_a_motion_that_leaves_the_box_is_not_sent(cell: Cell) -> None:
-    x, y, _ = cell.job.arm.base_position.tolist()
-    box = Box((x - 0.2, y - 0.2, 0.5), (x + 0.2, y + 0.2, 1.5))
-    ran = cell.run(layout=Site(safety=Safety(box=box)))
+    ran = cell.run(layout=Site(safety=Safety(box=Box((-2.0, -2.0, 0.3), (2.0, 2.0, 2.0)))))
     assert (ran.stop, ran.blocks) == (Stop.REFUSED, 0)
-    assert "outside the layout's safety.box" in (ran.reason or "")
+    assert "safety.box" in (ran.reason or "")
+    # Where it could not even wait, nothing is asked of it.
+    high = Site(safety=Safety(box=Box((-2.0, -2.0, 0.9), (2.0, 2.0, 2.0))))
+    with pytest.raises(InputError, match=r"safety\.box, where \w+ waits"):
+        cell.run(layout=high)
 
 
 def test_eyes_take_the_place_of_trust(cell: Cell) -> None:

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.cell.site import read_site
+import learn2assemble as l2a
+from learn2assemble.cell.site import Site, read_site
 from learn2assemble.errors import InputError
 from learn2assemble.motion.plant import (
     Commands,
@@ -194,6 +195,17 @@ def test_without_rules_motions_pass_as_they_are() -> None:
     guarded.execute(empty, [ToolCommand(vacuum=True)])
     assert plant.motions[0][0] is asked
     assert plant.motions[1][0] is empty
+
+
+@pytest.mark.parametrize("arms", [("panda",), ("panda", "ur5e")])
+def test_rules_that_an_arm_breaks_where_it_waits_are_refused_before_it_moves(
+    arms: tuple[str, ...],
+) -> None:
+    flat = Site(safety=Safety(box=Box((-2.0, -2.0, 0.0), (2.0, 2.0, 0.2))))
+    told: list[str] = []
+    with pytest.raises(InputError, match=r"outside the layout's safety\.box, where \w+ waits"):
+        l2a.build(np.ones((4, 1, 1), bool), arm=arms, layout=flat, progress=told.append)
+    assert not any(line.startswith("starting") for line in told)
 
 
 @pytest.mark.parametrize("speed", [0.0, 1.01, -1.0, float("nan")])

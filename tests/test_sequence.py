@@ -11,6 +11,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+import learn2assemble as l2a
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, hull_block
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.contacts import find_contacts
@@ -731,6 +732,28 @@ def test_posts_stand_on_the_ground_beside_supports(ground: float) -> None:
     stone = box_block("stone", (1, 0, ground), (1.2, 0.2, ground + 0.2))
     with pytest.raises(InputError, match="no ground"):
         check(Assembly((old, stone)))
+
+
+def test_posts_for_an_arm_stand_on_its_table_where_supports_reach_below_it() -> None:
+    """As beside a pier that ends at the table; without an arm they go down as far as it does."""
+    pier, beam, weight = (
+        box_block("pier", (0, -0.05, -0.1), (0.1, 0.15, 0.1), support=True),
+        box_block("beam", (-0.02, 0, 0.1), (0.3, 0.08, 0.14), density=400),
+        box_block("weight", (-0.02, 0, 0.14), (0.08, 0.08, 0.22), density=2800),
+    )
+    short = box_block("pier", (0, -0.05, 0), (0.1, 0.15, 0.1), support=True)
+    made = Assembly((pier, beam, weight))
+    plans = [plan_assembly(made), l2a.build(made, arm="panda", physics="kinematic")]
+    plans.append(plan_assembly(replace(made, blocks=(short, beam, weight))))
+    feet = list[float]()
+    margins = list[float | None]()
+    for plan in plans:
+        assert plan.complete, plan.reason
+        assert plan.assembly is not None
+        feet.append(float(plan.assembly.blocks[-1].vertices[:, 2].min()))
+        margins.append(plan.margin_g)
+    assert feet == [-0.1, 0, 0]
+    assert margins[1] == pytest.approx(margins[2])
 
 
 def test_where_posts_do_not_help_and_a_hand_does_it_is_said() -> None:

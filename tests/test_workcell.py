@@ -409,7 +409,13 @@ def test_a_build_keeps_the_rules_of_its_layout(tmp_path: Path) -> None:
     log = tmp_path / "build.jsonl"
     stopped = carry_out(plan, quick(site=low, log=log))
     assert stopped.status == "incomplete"
-    assert "outside the layout's safety.box" in (stopped.reason or "")
+    # Nothing was asked of the plant, and nothing was in the hand.
+    assert (stopped.reason or "").startswith("the tool ")
+    assert "safety.box" in (stopped.reason or "")
+    assert stopped.arm is not None
+    [failure] = stopped.arm.failures
+    assert failure.outcome == "stopped"
+    assert failure.detail.startswith("place block-1: interrupted: the tool ")
     # When the rule is another one it goes on, slowly.
     slow = Site(safety=Safety(speed=0.1))
     stands_where_it_should(carry_out(plan, quick(site=slow, log=log)))

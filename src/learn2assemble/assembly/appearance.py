@@ -248,6 +248,18 @@ def unit_doubt(assembly: Assembly) -> str:
     return f"blocks from {_length(low)} to {_length(high)}{which} long: is the unit right?"
 
 
+def unbuilt_words(assembly: Assembly) -> str:
+    """How many blocks stand in the end of how many that are wanted, and which are not built, as
+    those of a plan that is incomplete or refused; empty where all are."""
+    left = [id_ for id_ in assembly.not_built if not assembly.block(id_).prop]
+    if not left:
+        return ""
+    names = ", ".join(left[:4]) + (f" and {len(left) - 4} more" if left[4:] else "")
+    stand = len(assembly.finished.blocks)
+    verb = "is" if len(left) == 1 else "are"
+    return f"{stand} of {stand + len(left)}; {names} {verb} not built"
+
+
 def _length(value: float) -> str:
     return f"{value:.4g} m" if value >= 1 else millimetres(value)
 

@@ -24,7 +24,7 @@ from learn2assemble.assembly.joints import (
     joint_of_json,
     joints_of_json,
 )
-from learn2assemble.assembly.values import Colour, coordinates
+from learn2assemble.assembly.values import Colour, as_colour, coordinates
 from learn2assemble.errors import InputError, check_name, is_number
 from learn2assemble.geometry.hulls import convex_hull, cross_product
 from learn2assemble.values import By
@@ -79,6 +79,14 @@ class Block:
         where = f"block {self.id!r}"
         if not is_number(self.density, 0, LARGEST) or self.density == 0:
             raise InputError(f"{where}: density", self.density, "a number in (0, 1e6] [kg/m3]")
+        if not isinstance(self.kind, str):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise InputError(f"{where}: kind", self.kind, "a text")
+        for name in ("support", "prop"):
+            if not isinstance(value := getattr(self, name), bool | np.bool_):
+                raise InputError(f"{where}: {name}", value, "True or False")
+            object.__setattr__(self, name, bool(value))
+        if self.colour is not None:
+            object.__setattr__(self, "colour", as_colour(self.colour, f"{where}: colour"))
         vertices = _vertices(self.vertices, where)
         try:
             faces = tuple(tuple(int(k) for k in face) for face in self.faces)

@@ -1,5 +1,5 @@
 """COMPAS assemblies, read and written with the standard library: a graph whose nodes hold a mesh
-each, as ``compas_assembly`` and ``compas_cra`` write it.
+each, as ``compas_assembly`` and ``compas_cra`` write it, or a part with a mesh, as ``compas`` does.
 
 Friction, density, steps and props, which COMPAS does not know, travel as attributes.
 """
@@ -28,6 +28,8 @@ _COMPAS_ASSEMBLIES = (
 )
 """The class that is written, and the one to use where compas_cra is not installed."""
 _COMPAS_BLOCK = "compas_assembly.datastructures/Block"
+_WORLD = {"point": [0, 0, 0], "xaxis": [1, 0, 0], "yaxis": [0, 1, 0]}
+"""The frame of a part that is not elsewhere than its mesh."""
 _LEVEL = 1e-6
 """How far the top of the ground may be from z = 0 [m]."""
 
@@ -208,7 +210,10 @@ def from_compas(document: Any, source: str = "assembly", unit: float = 1.0) -> A
         where = f"{source}: node {key!r}"
         node = mapping(entry, where)
         support = boolean(node.get("is_support") or False, f"{where}: is_support")
-        mesh = _CompasMesh.of(str(key), node.get("block"), where, support)
+        if node.get("block") is None and node.get("part") is not None:
+            mesh = _CompasMesh.of_part(str(key), node["part"], where, support)
+        else:
+            mesh = _CompasMesh.of(str(key), node.get("block"), where, support)
         (ground if node.get("ground") is True else meshes).append(mesh)
     moved = any(abs(one.block("ground", unit).vertices[:, 2].max()) > _LEVEL for one in ground)
     if moved or any(mesh.support for mesh in meshes):
@@ -245,9 +250,35 @@ class _CompasMesh(NamedTuple):
 
     @classmethod
     def of(cls, key: str, value: Any, where: str, support: bool) -> _CompasMesh:
+        if value is None:
+            expected = "a block of compas_assembly, or a part of compas whose geometry is a Mesh"
+            raise InputError(f"{where}: block", None, expected)
         mesh = _compas_data(value, f"{where}: block")
         extra = mapping(mesh.get("attributes") or {}, f"{where}: attributes")
         return cls(key, support, mesh, extra, where)
+
+    @classmethod
+    def of_part(cls, key: str, value: Any, where: str, support: bool) -> _CompasMesh:
+        """A part of COMPAS's own assembly, which has its mesh among its attributes."""
+        part = _compas_data(value, f"{where}: part")
+        extra = mapping(part.get("attributes") or {}, f"{where}: part.attributes")
+        inside = f"{where}: part.attributes.geometry"
+        geometry = extra.get("geometry")
+        kind = geometry.get("dtype") if isinstance(geometry, Mapping) else geometry
+        mesh = _compas_data(geometry, inside) if isinstance(geometry, Mapping) else {}
+        if "vertex" not in mesh:
+            raise InputError(inside, kind, "a Mesh in world coordinates (Mesh.from_shape)")
+        where_of = f"{where}: part.frame"
+        frame = mapping(part.get("frame") or {}, where_of)
+        known = [k for k in _WORLD if k in frame]
+        if not np.allclose(
+            coordinates([frame[k] for k in known], where_of),
+            np.reshape([_WORLD[k] for k in known], (-1, 3)),
+            atol=1e-9,
+        ):
+            # COMPAS does not say whether geometry is told in it.
+            raise InputError(where_of, dict(frame), "that of the world, with the mesh in its place")
+        return cls(key, support or extra.get("is_support") is True, mesh, extra, where)
 
     @property
     def place(self) -> int | None:

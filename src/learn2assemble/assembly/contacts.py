@@ -16,6 +16,7 @@ import shapely
 
 from learn2assemble.assembly import point_contacts
 from learn2assemble.assembly.blocks import Assembly, Block
+from learn2assemble.assembly.cuts import ground_of_each
 from learn2assemble.assembly.parts import check_simple, to_manifold
 from learn2assemble.errors import InputError
 
@@ -139,9 +140,8 @@ def find_contacts(assembly: Assembly, tolerance: float | None = None) -> Contact
     """Contact patches between the blocks of an assembly, and with the ground.
 
     Without any support block, the plane z = 0 is the ground: what stands on it touches it. With
-    some, these carry the blocks, and props alone stand on the ground, at the height of the lowest
-    of them (:func:`ground_of`). Patches between two supports are left out, and so are strips
-    thinner than the tolerance.
+    some, these carry the blocks, and props alone stand on the ground (:func:`ground_of_each`).
+    Patches between two supports are left out, and so are strips thinner than the tolerance.
 
     Args:
         assembly: the blocks where they stand.
@@ -159,11 +159,12 @@ def find_contacts(assembly: Assembly, tolerance: float | None = None) -> Contact
     pairs = pairs[~(support[pairs[:, 0]] & support[pairs[:, 1]])]
     first, second = _opposite(facets, pairs, lower, upper)
     between = _patches(facets, first, second)
-    props = np.array([block.prop for block in assembly.blocks])
-    stand = np.ones(len(support), bool) if not support.any() else props & ~support
-    if not stand.any():
+    bed = np.abs(between.normal[:, 2]) > SIDE
+    upper = np.where(between.normal[:, 2] > 0, between.b, between.a)[bed]
+    height = ground_of_each(assembly.blocks, upper)
+    if np.isnan(height).all():
         return between
-    ground = _on_ground(facets, stand, ground_of(assembly.blocks))
+    ground = _on_ground(facets, height)
     ground = ground._replace(patch=ground.patch + len(between.a))
     return Contacts(*[np.concatenate(two) for two in zip(between, ground, strict=True)])
 
@@ -459,20 +460,15 @@ def _same_plane(
     return leader
 
 
-def ground_of(blocks: Sequence[Block]) -> float:
-    """Height of the ground [m]: 0, or that of the lowest point of support blocks."""
-    return min((float(b.vertices[:, 2].min()) for b in blocks if b.support), default=0.0)
-
-
-def _on_ground(facets: _Facets, stand: np.ndarray, height: float) -> Contacts:
+def _on_ground(facets: _Facets, height: np.ndarray) -> Contacts:
     """Patches between facets that look down and the ground.
 
     Args:
-        stand: bool[B], blocks that may stand there.
-        height: of the ground [m].
+        height: float64[B] of the ground for each block [m]; NaN: it does not stand there.
     """
-    down = (facets.normal[:, 2] < -np.cos(_ANGLE)) & stand[facets.block]
-    down &= np.abs(facets.centre[:, 2] - height) <= facets.width
+    down = facets.normal[:, 2] < -np.cos(_ANGLE)
+    # Where there is no height, no distance is small.
+    down &= np.abs(facets.centre[:, 2] - height[facets.block]) <= facets.width
     down &= facets.area > facets.width**2
     face = np.flatnonzero(down)
     corner, owner = _ranges(facets.start[face], facets.start[face + 1] - facets.start[face])
@@ -481,7 +477,7 @@ def _on_ground(facets: _Facets, stand: np.ndarray, height: float) -> Contacts:
     hulls = shapely.simplify(shapely.convex_hull(clouds), facets.width[face].min(initial=1) / 100)
     flat, owner = shapely.get_coordinates(hulls, return_index=True)
     last = np.append(owner[1:] != owner[:-1], True) if len(owner) else np.empty(0, bool)
-    points = np.column_stack([flat[~last], np.full((~last).sum(), height)])
+    points = np.column_stack([flat[~last], height[block[owner[~last]]]])
     up = np.tile([0.0, 0.0, 1.0], (len(block), 1))
     area = np.bincount(patch, facets.area[face], minlength=len(block))
     ground, known = np.full(len(block), GROUND), np.zeros(len(block))

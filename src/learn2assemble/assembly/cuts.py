@@ -1,4 +1,4 @@
-"""Posts as they are cut from a bar: its section, its length, and how the top is cut."""
+"""Posts: how they are cut from a bar (its section, its length, the top), and where they stand."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from learn2assemble.assembly.blocks import Block
 from learn2assemble.geometry.hulls import area_vector
 
 POST = "post"
@@ -67,3 +68,33 @@ def cut_of(corners: np.ndarray, faces: Sequence[Sequence[int]]) -> Cut:
                 angles.append(angle)
     shortest = min(upright.values())
     return Cut(width, depth, height, shortest, tuple(sorted(angles)))
+
+
+def ground_of(blocks: Sequence[Block], table: bool = False) -> float:
+    """Height of the ground [m]: 0, or that of the lowest point of support blocks.
+
+    Args:
+        table: whether there is a table at z = 0, below which supports may reach, but no post.
+    """
+    lowest = min((float(b.vertices[:, 2].min()) for b in blocks if b.support), default=0.0)
+    return max(lowest, 0.0) if table else lowest
+
+
+def ground_of_each(blocks: Sequence[Block], carried: np.ndarray) -> np.ndarray:
+    """float64[B]: height of the ground for each block [m], NaN where it has none.
+
+    Without supports it is 0 for all. With some, props alone have one, at the lowest point of these;
+    or at 0, a table below which these reach, for props that begin there and that nothing carries.
+
+    Args:
+        carried: indices of blocks that lie on others.
+    """
+    if not any(block.support for block in blocks):
+        return np.zeros(len(blocks))
+    ground, on_blocks = ground_of(blocks), set(carried.tolist())
+    height = np.full(len(blocks), np.nan)
+    for k, block in enumerate(blocks):
+        if block.prop and not block.support:
+            nearer = block.vertices[:, 2].min() > ground / 2 > ground
+            height[k] = 0.0 if nearer and k not in on_blocks else ground
+    return height

@@ -23,6 +23,8 @@ _FINE = 1e-7
 """Blocks that differ by less are not looked at twice [m]."""
 _ALIKE = 1e-4
 """So much may the corners of a block be off those of its shape, where it leans [m]."""
+_SLIM = 0.05
+"""But no more than this, in the height of the triangle of corners by which a turn is found."""
 _MOST_TRIED = 60
 """Corners of a block whose order is sought."""
 
@@ -318,30 +320,36 @@ def _apart(some: np.ndarray, others: np.ndarray) -> float:
 def _alignments(model: _KindShape, block: Block) -> Iterator[tuple[int, np.ndarray]]:
     """The ways to lay a shape on a block: where its first corner comes to lie, and the rotation."""
     corners, vertices, a = model.corners, block.vertices, model.first
+    away = np.linalg.norm(corners, axis=1)
+    b = int(away.argmax())
+    twice = np.linalg.norm(np.cross(corners, corners[b]), axis=1)
+    c = int(twice.argmax())
+    # Not so much that corners of a small block stand for one another.
+    alike = min(_ALIKE, _SLIM * float(twice[c] / away[b]))
     if model.faces == block.faces:
         turning = _rotation_between(corners, vertices - vertices[a])
-        if np.abs(corners @ turning.T - (vertices - vertices[a])).max() <= _ALIKE:
+        if np.abs(corners @ turning.T - (vertices - vertices[a])).max() <= alike:
             yield a, turning
     if not block.is_convex or len(corners) > _MOST_TRIED:
         return  # The corners alone do not say what it is, or there are too many to try.
     # Three corners of the shape, and all corners of the block as far from one another.
-    away = np.linalg.norm(corners, axis=1)
-    b = int(away.argmax())
-    c = int(np.linalg.norm(np.cross(corners, corners[b]), axis=1).argmax())
     apart = np.linalg.norm(vertices[:, None] - vertices, axis=-1)
-    near = 2 * _ALIKE
+    near = 2 * alike
     for i, j in np.argwhere(np.abs(apart - away[b]) <= near).tolist():
         third = np.abs(apart[i] - away[c]) <= near
         third &= np.abs(apart[j] - np.linalg.norm(corners[b] - corners[c])) <= near
         for k in np.flatnonzero(third).tolist():
+            sides = vertices[j] - vertices[i], vertices[k] - vertices[i]
+            if np.linalg.norm(np.cross(*sides)) <= _SLIM * twice[c]:
+                continue  # They lie on a line, and say no turn about it.
             turning = _frame(*vertices[[i, j, k]]) @ _frame(*corners[[a, b, c]]).T
             turned = corners @ turning.T + vertices[i]
-            if _apart(turned, vertices) > 3 * _ALIKE:
+            if _apart(turned, vertices) > 3 * alike:
                 continue
             # All corners together say the turn better than three.
             order = np.linalg.norm(turned[:, None] - vertices, axis=-1).argmin(1)
             turning = _rotation_between(corners, vertices[order] - vertices[i])
-            if np.abs(corners @ turning.T + vertices[i] - vertices[order]).max() <= _ALIKE:
+            if np.abs(corners @ turning.T + vertices[i] - vertices[order]).max() <= alike:
                 yield i, turning
 
 

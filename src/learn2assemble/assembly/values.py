@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from typing import Annotated, Any
 
 import numpy as np
 
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, is_whole
 from learn2assemble.values import Range, number, rounded_array, sequence
 
 DIGITS = 9
@@ -39,9 +40,19 @@ def coordinates(rows: Any, where: str) -> np.ndarray:
     return np.array(points, np.float64).reshape(-1, 3)
 
 
-def any_colour(value: Any) -> tuple[int, int, int] | None:
+def as_colour(value: Any, where: str) -> Colour:
+    """A colour that a caller gives; messages call it ``where``."""
+    given: list[Any] = list(value) if isinstance(value, list | tuple | np.ndarray) else []
+    if len(given) != 3 or not all(is_whole(one, 0, 255) for one in given):
+        raise InputError(where, value, "red, green and blue, whole numbers from 0 to 255")
+    red, green, blue = map(int, given)
+    return red, green, blue
+
+
+def any_colour(value: Any) -> Colour | None:
     """A colour where it is one; files of others may hold anything there."""
     given: object = value
-    if isinstance(given, list) and len(value) == 3 and all(type(k) is int for k in value):
-        return (value[0], value[1], value[2])
+    if isinstance(given, list) and all(type(k) is int for k in value):
+        with suppress(InputError):
+            return as_colour(value, "colour")
     return None

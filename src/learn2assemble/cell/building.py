@@ -38,6 +38,7 @@ from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.checked import Checked
 from learn2assemble.motion.plant import Plant, PlantError, Request, Stop, standing
 from learn2assemble.motion.recorder import StepMotion
+from learn2assemble.motion.safety import by_rule
 from learn2assemble.progress import Detail, Pace
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Move, Outcome, carried
@@ -156,7 +157,8 @@ class Building:
             return self._run(progress, go_on)
         except PlantError as error:
             self.stopped = error.stop
-            return str(error)
+            # What a rule forbids the plant was not asked for.
+            return error.why if by_rule(error.why) else str(error)
 
     def _run(self, progress: Progress, go_on: Callable[[Action], bool]) -> str | None:
         if not self.known.done:
@@ -297,11 +299,11 @@ class Building:
         if held:
             self.sight.held = None
             self.sight.belief.forget(name)
-        known, outcome = self.sight.belief.known.get(name), Outcome.GRASP_LOST
+        known, outcome = self.sight.belief.known.get(name), Outcome.STOPPED
         if known is not None:
             row = rows.scene.position[move.cell]
             near = np.linalg.norm(known.pose[:3] - row) < np.linalg.norm(row - move.target) / 2
-            outcome = Outcome.GRASP_LOST if near else Outcome.REACHED
+            outcome = Outcome.STOPPED if near else Outcome.REACHED
         outcome = Outcome.DROPPED if held else outcome
         return Came(outcome, "", f"interrupted: {error.why}", self.joints)
 

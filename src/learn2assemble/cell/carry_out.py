@@ -32,7 +32,7 @@ from learn2assemble.errors import InputError, listed
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.linear_programs import Clock
 from learn2assemble.motion.plant import Plant, PlantError
-from learn2assemble.motion.safety import Safety, guarded
+from learn2assemble.motion.safety import Safety, check_home, guarded
 from learn2assemble.motion.setup import BlockKind, Setup, open_plant
 from learn2assemble.planning.brick_plan import with_hands
 from learn2assemble.planning.plan import Plan, Status
@@ -79,6 +79,7 @@ def prepare(
         raise InputError("design", got, "none that clutch, for an arm")
     progress("looking where the arm stands and where blocks wait")
     job = set_up(job, workcell.arm, workcell.tool, workcell.site, progress)
+    check_home(job.arm, workcell.site.safety)
     progress("looking for an order that the arm can do")
     cell = KinematicCell(job.arm)
     hands = [Hands(job, cell)]
@@ -117,7 +118,8 @@ def carry_out(
         return _refused(plan, found, workcell, advise(plan, workcell, joint, progress))
     if plan.assembly.holds:
         plan = plan_in_order(plan, order.steps)
-    progress("starting the simulation" if plant is None else "looking at the cell")
+    begins = "moving the blocks" if workcell.physics == "kinematic" else "starting the simulation"
+    progress(begins if plant is None else "looking at the cell")
     setup = setup_of(job, workcell, found.structure)
     plant = plant or cast("Plant", simulated(setup))
     seen = through_cameras(plant, setup, job.pieces, workcell.site.cameras)

@@ -34,7 +34,7 @@ from learn2assemble.cell.workcell import ROOMS, Job, Progress, StepOf, Workcell,
 from learn2assemble.cell.world import RETURNED, STANDING, WorkcellBlocks
 from learn2assemble.errors import InputError, listed
 from learn2assemble.motion.plant import Plant
-from learn2assemble.motion.safety import guarded
+from learn2assemble.motion.safety import check_home, guarded
 from learn2assemble.planning.brick_plan import plan_for_arm, with_hands
 from learn2assemble.planning.plan import Plan
 from learn2assemble.progress import silent
@@ -154,6 +154,8 @@ def jobs_of(
         for member in members
     ]
     first, second = (replace(job, arm=back(job)) for job in jobs)
+    for job in (first, second):
+        check_home(job.arm, workcell.site.safety)
     return first, second
 
 

@@ -75,10 +75,11 @@ def arm_report(
         ArmFailure(
             d.number,
             d.outcome,
-            f"{d.what} {building.world.pieces[d.block].id}, {d.stage}: {d.detail}",
+            f"{', '.join(filter(None, (moved, d.stage)))}: {d.detail}",
             False,
         )
         for d in building.known.attempts()
+        for moved in (f"{d.what} {building.world.pieces[d.block].id}",)
         if d.outcome != Outcome.REACHED.label
     )
     attempts = len(building.known.attempts())
@@ -87,14 +88,16 @@ def arm_report(
         for step in building.known.planned
         if step not in building.known.by_hand and step.plain not in others
     )
-    measured = measure(building, plant, {step.block for step in others})
+    told = plant if workcell.strays else None  # Else nothing can be off, which tells nothing.
+    measured = measure(building, told, {step.block for step in others})
+    seconds = round(building.recording.recorder.now, 2)
     planed = len(planed_props(job.assembly))
     return ArmReport(
         workcell.arm,
         _pitch(job),
         attempts,
         failures,
-        round(building.recording.recorder.now, 2),
+        seconds if seconds or workcell.physics != "kinematic" else None,
         workcell.tool,
         base,
         len(job.sources),

@@ -442,7 +442,7 @@ def plan_by_team(
         crews.append(ArmCrew(members, blocks))
         return crews[-1]
 
-    help_ = Supports(posts=posts, holds=len(members) - 1, crew=crew_of)
+    help_ = Supports(posts=posts, holds=len(members) - 1, crew=crew_of, table=True)
     plan = plan_assembly(bare, supports=help_, progress=progress, **options)
     # Posts that no arm brings are set by hand, and no reason.
     told_last = [w for k, w in crews[-1].why.items() if k < len(bare.blocks)][-1:]

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from learn2assemble.assembly.contacts import ground_of
+from learn2assemble.assembly.cuts import ground_of
 from learn2assemble.cell.pieces import ON_TABLE, Piece, pieces_of
 from learn2assemble.cell.site import Obstacle, Site, Source
 from learn2assemble.errors import InputError
@@ -99,6 +99,13 @@ class Workcell:
         disturbance = self.disturbance or Disturbance()
         noise = self.noise if isinstance(self.noise, Noise) else Noise(*self.noise)
         return Simulated(self.physics, self.seed, noise, disturbance)
+
+    @property
+    def strays(self) -> bool:
+        """Whether blocks of its simulation may end elsewhere than they are told to."""
+        told = self.simulated
+        chance = told.noise != Noise() or told.disturbance != Disturbance()
+        return told.physics != "kinematic" or chance or bool(self.site.cameras)
 
 
 @dataclass(frozen=True, eq=False)

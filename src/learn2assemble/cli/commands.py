@@ -459,7 +459,8 @@ def _print_arm(output: Output, arm: ArmReport, name: str) -> None:
     places = f"blocks from {arm.places} place{'s'[: arm.places != 1]}" if arm.places else ""
     output.paragraph(f"arm {name} with {arm.tool}{where}{', ' * bool(places)}{places}")
     a_step = "" if arm.attempts_per_step is None else f" ({arm.attempts_per_step:.3f} a step)"
-    output.say(f"{arm.attempts} attempts{a_step}, {arm.seconds:.0f} s of robot time")
+    took = "" if arm.seconds is None else f", {arm.seconds:.0f} s of robot time"
+    output.say(f"{arm.attempts} attempts{a_step}{took}")
     if arm.planed_words:
         output.paragraph(arm.planed_words)
     if arm.error_mean is not None and arm.error_worst is not None:

@@ -53,8 +53,10 @@ def _format_argument(parser: argparse.ArgumentParser) -> None:
     ),
 )
 def _export(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.assembly.appearance import unbuilt_words
+    from learn2assemble.assembly.files import read_assembly
     from learn2assemble.export import PROGRAM_FORMATS
-    from learn2assemble.export.formats import FORMATS, export_assembly
+    from learn2assemble.export.formats import FORMATS, check_target, export_assembly
 
     if options.format in PROGRAM_FORMATS:
         return _export_program(options, output)
@@ -64,11 +66,15 @@ def _export(options: argparse.Namespace, output: Output) -> None:
         if getattr(options, word) is not None:
             got = f"a value for the format {options.format}"
             raise InputError(f"--{word.replace('_', '-')}", got, "the format urscript")
-    written = export_assembly(
-        options.plan, options.format, options.out, overwrite=options.overwrite
-    )
+    # Whose file is there is looked at before anything is read.
+    file = check_target(options.plan, options.format, options.out, overwrite=options.overwrite)
+    assembly = read_assembly(options.plan)
+    written = export_assembly(assembly, options.format, file, overwrite=options.overwrite)
     output.say(f"{options.format}: {written}")
-    output.finish({"format": options.format, "file": str(written)})
+    if left := unbuilt_words(assembly):
+        output.paragraph(f"blocks: {left}")
+    left_out = list(assembly.not_built)
+    output.finish({"format": options.format, "file": str(written), "not_built": left_out})
 
 
 def _export_program(options: argparse.Namespace, output: Output) -> None:

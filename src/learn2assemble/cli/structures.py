@@ -303,7 +303,7 @@ def _check(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where it stands, if only with tight joints, else 1."""
     import numpy as np
 
-    from learn2assemble.assembly.appearance import unit_doubt
+    from learn2assemble.assembly.appearance import unbuilt_words, unit_doubt
     from learn2assemble.assembly.files import read_assembly
     from learn2assemble.statics.rigid_blocks import check
     from learn2assemble.viewer.page import Verdict
@@ -315,9 +315,10 @@ def _check(options: argparse.Namespace, output: Output) -> int:
             raise InputError("friction", options.friction, "none: bricks that clutch hold without")
         if options.capacity is not None:
             assembly = assembly.with_capacity(options.capacity)
-        edges = np.ptp(np.concatenate([block.vertices for block in assembly.blocks]), axis=0)
+        standing = assembly.finished.blocks
+        edges = np.ptp(np.concatenate([block.vertices for block in standing]), axis=0)
         size = " x ".join(f"{edge:.3g}" for edge in edges) + " m"
-        output.phase(f"proving whether {len(assembly.blocks)} blocks stand ({size})")
+        output.phase(f"proving whether {len(standing)} blocks stand ({size})")
         found = check(assembly, friction=options.friction)
         held = found.margin_n is not None
         rows = [
@@ -326,7 +327,7 @@ def _check(options: argparse.Namespace, output: Output) -> int:
             *([("margin of a contact point", f"{found.margin_n:.4g} N")] if held else []),
             ("lacking", f"{found.holding_force:.4g} N, forces and moments of all blocks added up"),
             ("moves first", ", ".join(found.moving[:8]) or "-"),
-            ("blocks", found.blocks),
+            ("blocks", unbuilt_words(assembly) or found.blocks),
             ("size", size),
             ("contacts", len(found.contacts.a)),
             ("seconds", f"{found.seconds:.2f}"),
@@ -353,6 +354,7 @@ def _check(options: argparse.Namespace, output: Output) -> int:
             "holding_force": found.holding_force,
             "moves_first": list(found.moving),
             "blocks": found.blocks,
+            "not_built": list(assembly.not_built),
             "contacts": len(found.contacts.a),
             "note": doubt,
             "seconds": round(found.seconds, 3),

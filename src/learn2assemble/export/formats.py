@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import io
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from learn2assemble.assembly.appearance import colour_words, kinds_and_colours, 
 from learn2assemble.assembly.blocks import Assembly, Block, fan_triangles
 from learn2assemble.assembly.bricks.ldraw import to_ldraw
 from learn2assemble.assembly.compas import write_compas
+from learn2assemble.assembly.contacts import GROUND, find_contacts
 from learn2assemble.assembly.cuts import POST, Cut, cut_of
 from learn2assemble.assembly.files import read_assembly, write_assembly
 from learn2assemble.assembly.instructions import shapes_of
@@ -32,6 +33,9 @@ from learn2assemble.export.pdf import pdf
 from learn2assemble.files import as_path, check_new, write_file
 from learn2assemble.registry import Registry
 from learn2assemble.values import rounded
+
+_PLATE = 0.01
+"""Thickness of the ground below a prop beside supports [m]."""
 
 
 def bill_of_blocks(assembly: Assembly) -> str:
@@ -133,15 +137,17 @@ def glb(assembly: Assembly) -> bytes:
 
 
 def mjcf(assembly: Assembly) -> bytes:
-    """The finished structure as a MuJoCo model: every block a free body on a plane at z = 0.
+    """The finished structure as a MuJoCo model: every block a free body.
 
-    Convex parts of a block are geoms of one body; blocks that are supports do not move. Contact
-    settings are those under which blocks stay within 0.1 mm of where they are
-    (``docs/building.md``): contacts as stiff as the step of time lets them be, since soft ones
-    sink by millimetres below many blocks, and friction that does not creep. Contacts act from a
-    distance of 0.1 µm on: blocks that touch exactly would fall until they overlap, layer after
-    layer, and be thrown back. Distances of hulls are found to 0.1 nm: as MuJoCo finds them by
-    itself, two that touch are now and then taken to overlap by millimetres, and fly apart.
+    Where no block is a support, they stand on a plane at z = 0, else on the supports alone, as in
+    the proof (``assembly/contacts.py``): only props that still stand have a plate below. Convex
+    parts of a block are geoms of one body; supports do not move. Contact settings are those under
+    which blocks stay within 0.1 mm of where they are (``docs/building.md``): contacts as stiff as
+    the step of time lets them be, since soft ones sink by millimetres below many blocks, and
+    friction that does not creep. Contacts act from a distance of 0.1 µm on: blocks that touch
+    exactly would fall until they overlap, layer after layer, and be thrown back. Distances of hulls
+    are found to 0.1 nm: as MuJoCo finds them by itself, two that touch are now and then taken to
+    overlap by millimetres, and fly apart.
     """
     root = ElementTree.Element("mujoco", model=assembly.name or "assembly")
     ElementTree.SubElement(
@@ -169,7 +175,8 @@ def mjcf(assembly: Assembly) -> bytes:
     asset = ElementTree.SubElement(root, "asset")
     world = ElementTree.SubElement(root, "worldbody")
     ElementTree.SubElement(world, "light", pos="0 0 3")
-    ElementTree.SubElement(world, "geom", name="table", type="plane", size="0 0 0.05")
+    for ground in _grounds(assembly.finished):
+        ElementTree.SubElement(world, "geom", ground)
     for block, name in _finished_colours(assembly):
         centre = block.centroid
         body = ElementTree.SubElement(world, "body", name=block.id, pos=_numbers(centre))
@@ -194,6 +201,21 @@ def mjcf(assembly: Assembly) -> bytes:
             ElementTree.SubElement(body, "geom", attributes)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+
+
+def _grounds(finished: Assembly) -> Iterator[dict[str, str]]:
+    """The table as a geom of MuJoCo; beside supports a plate below each prop that stands on it, as
+    an endless plane may go through what stands lower."""
+    if not any(block.support for block in finished.blocks):
+        yield {"name": "table", "type": "plane", "size": "0 0 0.05"}
+        return
+    contacts = find_contacts(finished)
+    for k in np.flatnonzero(contacts.a == GROUND).tolist():
+        points = contacts.points[contacts.patch == k]
+        low, high = points.min(0) - [0, 0, _PLATE], points.max(0)
+        name = f"below {finished.blocks[int(contacts.b[k])].id}"
+        place = {"size": _numbers((high - low) / 2), "pos": _numbers((low + high) / 2)}
+        yield {"name": name, "type": "box", **place}
 
 
 def _finished_colours(assembly: Assembly) -> list[tuple[Block, str]]:
@@ -251,14 +273,22 @@ def export_assembly(
         UnknownNameError: naming the nearest format.
         InputError: for a file that cannot be read, and one that is there already.
     """
-    name, write = FORMATS[format]
-    file = file_at(path, name)
-    check_new(file, format, assembly, overwrite=overwrite)  # Before anything is read.
+    _, write = FORMATS[format]
+    file = check_target(assembly, format, path, overwrite=overwrite)  # Before anything is read.
     if isinstance(assembly, str | Path):
         assembly = read_assembly(assembly)
     if not isinstance(assembly, Assembly):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InputError("assembly", assembly, "an Assembly (of a plan its .assembly), or a file")
     write(assembly, file)
+    return file
+
+
+def check_target(
+    assembly: object, format: str, path: str | Path, *, overwrite: bool = False
+) -> Path:
+    """The file to write; arguments and errors as of :func:`export_assembly`."""
+    file = file_at(path, FORMATS[format][0])
+    check_new(file, format, assembly, overwrite=overwrite)
     return file
 
 

@@ -231,13 +231,15 @@ def _blocks_plan(
     blocks: Assembly, workcell: Workcell | None, help_: Help, given: dict[str, Any]
 ) -> Plan:
     from learn2assemble.planning.brick_plan import plan_for_arm
-    from learn2assemble.planning.given import plan_assembly
+    from learn2assemble.planning.given import plan_assembly, supports_called
 
     supports, holds, hands, _ = help_
     if workcell is not None:
         workcell = _for_given(blocks, workcell)  # What no tool can hold is said before planning.
     if workcell is None or not blocks.holds:
-        plan = plan_assembly(blocks, supports=supports, holds=holds, hands=hands, **given)
+        arm = workcell is not None
+        by = supports_called(supports, holds, hands, table=True) if arm else supports
+        plan = plan_assembly(blocks, supports=by, holds=holds, hands=hands, **given)
         if workcell is None:
             return plan
     else:

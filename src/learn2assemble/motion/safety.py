@@ -263,6 +263,22 @@ def guarded(plant: Plant, arm: Arm, safety: Safety) -> Plant:
     return plant if safety == Safety() else Guarded(plant, arm, safety)
 
 
+def check_home(arm: Arm, safety: Safety) -> None:
+    """Refuse rules that an arm breaks where it waits, before anything moves.
+
+    Args:
+        arm, safety: as of :class:`Guarded`.
+
+    Raises:
+        InputError: saying where it would be.
+    """
+    still = Motion("home", np.zeros(1), arm.home[None], np.zeros_like(arm.home[None]))
+    why = "" if safety == Safety() else SafetyRules(arm, safety).breach(still)
+    if why:
+        got = f"{why}, where {arm.name} waits"
+        raise InputError("layout", got, "rules of safety that the arm keeps where it waits")
+
+
 def by_rule(reason: str) -> bool:
     """Whether a motion was refused for this reason because it would have broken a rule, as it will
     be again."""

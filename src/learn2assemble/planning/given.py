@@ -77,13 +77,9 @@ def plan_assembly(
             joints wider than the blocks, and for supports that are none.
     """
     started = time.perf_counter()
-    if not isinstance(supports, Supports) and supports not in ("auto", "none", "posts"):
-        raise InputError("supports", supports, "auto, none or posts: given blocks have no kit")
-    if not is_whole(holds, 0, MOST_HOLDS):
-        raise InputError("holds", holds, f"a whole number from 0 to {MOST_HOLDS}")
     help_ = supports
     if not isinstance(help_, Supports):
-        help_ = Supports(help_ != "none", holds, hands=hands, fewest=help_ == "auto")
+        help_ = supports_called(help_, holds, hands)
     if any(joint.law == "clutch" for joint in assembly.laws if joint.holds):
         if gap is not None or supports == "posts":
             got = "a gap" if gap is not None else "posts"
@@ -118,6 +114,25 @@ def plan_assembly(
         elif found.status == "not found":
             found = _advised(found, problem, joints, help_, clock)
     return plan_of(assembly, found, ends, None if gap is None else (0.0, widest), started)
+
+
+def supports_called(
+    name: str, holds: int = 0, hands: bool = False, table: bool = False
+) -> Supports:
+    """What may help given blocks, by its name.
+
+    Args:
+        name: ``supports`` of :func:`plan_assembly`; the next two are also as there.
+        table: as :attr:`.Supports.table`.
+
+    Raises:
+        InputError: for a name or a number of holds that is none.
+    """
+    if name not in ("auto", "none", "posts"):
+        raise InputError("supports", name, "auto, none or posts: given blocks have no kit")
+    if not is_whole(holds, 0, MOST_HOLDS):
+        raise InputError("holds", holds, f"a whole number from 0 to {MOST_HOLDS}")
+    return Supports(name != "none", holds, hands=hands, fewest=name == "auto", table=table)
 
 
 def _check_props(assembly: Assembly, joints: Joints) -> None:

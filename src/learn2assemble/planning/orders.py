@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
-from learn2assemble.assembly.contacts import Contacts, contact_tolerance, find_contacts, ground_of
+from learn2assemble.assembly.contacts import Contacts, contact_tolerance, find_contacts
+from learn2assemble.assembly.cuts import ground_of
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.centring import find_centring
 from learn2assemble.planning.clearance import FreeWays
@@ -234,10 +235,14 @@ class _DryOrder:
         self._contacts = problem.layers[-1].contacts
         self.rules = Forward(replace(site, crew=supports.crew(whole.blocks)), posts)
 
-    def posts(self, centring: bool, state: State) -> list[Post]:
-        """Those that could carry blocks, or a centring below most of what is missing in a state."""
+    def posts(self, centring: bool, table: bool, state: State) -> list[Post]:
+        """Those that could carry blocks, or a centring below most of what is missing in a state.
+
+        Args:
+            table: as :attr:`Supports.table`.
+        """
         given, missing = self.blocks[: self.count], self.rules.wanted & ~state.present
-        ground = ground_of(given)
+        ground = ground_of(given, table)
         if not centring:
             return find_posts(given, self._contacts, ground)
         if self.rules.wanted.sum() <= _SMALL:
@@ -253,7 +258,7 @@ class _DryOrder:
         Args:
             state: how far it came without them.
         """
-        posts = self.posts(centring, state)
+        posts = self.posts(centring, supports.table, state)
         if not posts:
             return None
         found = _DryOrder(problem, supports, posts, self.clock, self.progress)

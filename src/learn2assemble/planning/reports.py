@@ -51,8 +51,8 @@ class ArmReport:
     """Horizontal distance of neighbouring blocks."""
     attempts: Count
     failures: tuple[ArmFailure, ...]
-    seconds: Seconds
-    """How long the arm took."""
+    seconds: Seconds | None = None
+    """How long the arm took; None where nothing moved it."""
     tool: str = "gripper"
     """What it held blocks with."""
     base: tuple[Metre, Metre, Metre, Annotated[float, Range(-100, 100)]] | None = None

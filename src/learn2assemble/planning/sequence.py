@@ -70,6 +70,7 @@ class Supports:
         crew: who brings and holds them, given the blocks.
         hands: of bricks that clutch, whether they may come from below, and several as one.
         fewest: whether a few blocks get the fewest posts, which may be wide ones.
+        table: whether posts stand no lower than z = 0, an arm's table, which supports may.
     """
 
     posts: bool = False
@@ -77,6 +78,7 @@ class Supports:
     crew: CrewOf = anybody
     hands: bool = False
     fewest: bool = False
+    table: bool = False
 
 
 class Transition(NamedTuple):

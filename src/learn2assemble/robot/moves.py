@@ -51,6 +51,8 @@ class Outcome(IntEnum):
     """The block left the hand between lifting and release."""
     NO_CONTACT = 8
     """What was lowered met nothing at its place, and went back."""
+    STOPPED = 9
+    """The arm was stopped, by a rule of the layout or by itself, before it had taken the block."""
 
     @property
     def label(self) -> str:

@@ -109,6 +109,7 @@ OUTCOME_WORDS = {
     Outcome.TOPPLED: "the block did not stay where it was released",
     Outcome.DROPPED: "the block was lost on the way",
     Outcome.NO_CONTACT: "the block was lowered as far as it may be and met nothing",
+    Outcome.STOPPED: "the arm was stopped before it had taken the block",
 }
 _CARRYING = ("lift", "cross", "place")
 
