@@ -263,17 +263,19 @@ class _CompasMesh(NamedTuple):
         part = _compas_data(value, f"{where}: part")
         extra = mapping(part.get("attributes") or {}, f"{where}: part.attributes")
         inside = f"{where}: part.attributes.geometry"
-        geometry = extra.get("geometry")
-        kind = geometry.get("dtype") if isinstance(geometry, Mapping) else geometry
-        mesh = _compas_data(geometry, inside) if isinstance(geometry, Mapping) else {}
+        geometry: Any = extra.get("geometry")
+        given: object = geometry
+        known = isinstance(given, Mapping)
+        mesh: Mapping[str, Any] = _compas_data(geometry, inside) if known else {}
         if "vertex" not in mesh:
+            kind: Any = mapping(geometry, inside).get("dtype") if known else geometry
             raise InputError(inside, kind, "a Mesh in world coordinates (Mesh.from_shape)")
         where_of = f"{where}: part.frame"
         frame = mapping(part.get("frame") or {}, where_of)
-        known = [k for k in _WORLD if k in frame]
+        told = [k for k in _WORLD if k in frame]
         if not np.allclose(
-            coordinates([frame[k] for k in known], where_of),
-            np.reshape([_WORLD[k] for k in known], (-1, 3)),
+            coordinates([frame[k] for k in told], where_of),
+            np.reshape([_WORLD[k] for k in told], (-1, 3)),
             atol=1e-9,
         ):
             # COMPAS does not say whether geometry is told in it.

@@ -42,10 +42,11 @@ def coordinates(rows: Any, where: str) -> np.ndarray:
 
 def as_colour(value: Any, where: str) -> Colour:
     """A colour that a caller gives; messages call it ``where``."""
-    given: list[Any] = list(value) if isinstance(value, list | tuple | np.ndarray) else []
-    if len(given) != 3 or not all(is_whole(one, 0, 255) for one in given):
+    given: object = value
+    parts: list[Any] = list(value) if isinstance(given, list | tuple | np.ndarray) else []
+    if len(parts) != 3 or not all(is_whole(one, 0, 255) for one in parts):
         raise InputError(where, value, "red, green and blue, whole numbers from 0 to 255")
-    red, green, blue = map(int, given)
+    red, green, blue = map(int, parts)
     return red, green, blue
 
 
