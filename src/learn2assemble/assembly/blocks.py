@@ -82,7 +82,8 @@ class Block:
         if not isinstance(self.kind, str):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise InputError(f"{where}: kind", self.kind, "a text")
         for name in ("support", "prop"):
-            if not isinstance(value := getattr(self, name), bool | np.bool_):
+            value: Any = getattr(self, name)
+            if type(value) not in (bool, np.bool_):
                 raise InputError(f"{where}: {name}", value, "True or False")
             object.__setattr__(self, name, bool(value))
         if self.colour is not None:
