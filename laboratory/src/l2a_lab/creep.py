@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -95,12 +96,25 @@ def standing_after(assembly: Assembly, count: int) -> Assembly:
     return replace(assembly, blocks=blocks, steps=())
 
 
-def largest_move(assembly: Assembly, seconds: float = SECONDS) -> float:
+def largest_move(assembly: Assembly, seconds: float = SECONDS, ground: bool = False) -> float:
     """Largest distance of any block of the finished structure from its place, at any time of a
-    simulation of its MuJoCo model [m]."""
+    simulation of its MuJoCo model [m].
+
+    Args:
+        assembly: blocks where they stand.
+        seconds: of the simulation.
+        ground: z = 0 is one beside blocks that are supports, too, as those that are held.
+    """
     import mujoco
 
-    model = mujoco.MjModel.from_xml_string(mjcf(assembly).decode())
+    made = ElementTree.fromstring(mjcf(assembly))
+    world = made.find("worldbody")
+    assert world is not None
+    if ground and world.find("geom[@name='table']") is None:
+        # The first geom, where models of blocks on the ground have it.
+        plane = ElementTree.Element("geom", name="table", type="plane", size="0 0 0.05")
+        world.insert(1, plane)
+    model = mujoco.MjModel.from_xml_string(ElementTree.tostring(made, encoding="unicode"))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     before, worst = data.xpos.copy(), 0.0

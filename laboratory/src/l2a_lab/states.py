@@ -112,4 +112,6 @@ def largest_moves(
     if most is not None and len(states) > most:
         chosen = np.linspace(0, len(states) - 1, most).round().astype(int)
         states = [states[k] for k in chosen.tolist()]
-    return [largest_move(opened(state, gap, which), seconds) for state in states]
+    # What is held is a support, whose ground is that of all others.
+    ground = not any(block.support for block in assembly.blocks)
+    return [largest_move(opened(state, gap, which), seconds, ground) for state in states]
