@@ -361,6 +361,12 @@ def test_the_page_tells_the_outcome_of_every_step(record: BuildRecord) -> None:
     assert len(re.findall(r'<rect class="failed"', text)) == 3
 
 
+def test_a_sentence_does_not_change_the_name_of_a_block() -> None:
+    assert arm_words.sentence("b24 touches b21", ("b21", "b24")) == "b24 touches b21."
+    assert arm_words.sentence("nothing is met", ("b21", "b24")) == "Nothing is met."
+    assert arm_words.sentence(" ") == ""
+
+
 def test_the_page_is_the_same_every_time(record: BuildRecord) -> None:
     assert render_page(arm_plan(COUNT), record) == render_page(arm_plan(COUNT), record)
 

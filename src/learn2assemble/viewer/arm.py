@@ -74,7 +74,8 @@ class Labels(NamedTuple):
         if step.outcome == Outcome.REACHED and step.plan_step is not None:
             return self.captions[step.plan_step] + (f" Done by {arm}." if arm else "")
         block = object_name(step, self.names)
-        text = f"{block[0].upper()}{block[1:]}: {step.outcome.label}. {sentence(step.detail)}"
+        words = sentence(f"{step.outcome.label}: {block}"), sentence(step.detail, self.names)
+        text = " ".join(filter(None, words))
         if step.replanned:
             text += " The rest of the build is planned anew from where the blocks are now."
         return text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from decimal import Decimal
 
 from learn2assemble.motion.record import BuildRecord, Stage, StepRecord
@@ -133,10 +134,12 @@ def stage_words(step: StepRecord, stage: Stage, block: str, suction: bool = Fals
     return (empty if lost else as_planned).format(block=block)
 
 
-def sentence(text: str) -> str:
-    """With a capital letter and a full stop; empty stays empty."""
+def sentence(text: str, names: Collection[str] = ()) -> str:
+    """With a full stop, and a capital letter but where it begins with a name; empty stays empty."""
     text = text.strip().rstrip(".")
-    return f"{text[0].upper()}{text[1:]}." if text else ""
+    if text and not any(text.startswith(name) for name in names):
+        text = f"{text[0].upper()}{text[1:]}"
+    return f"{text}." if text else ""
 
 
 def clock_words(seconds: float) -> str:
