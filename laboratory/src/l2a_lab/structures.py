@@ -162,6 +162,8 @@ def _warm() -> None:
     """Plan and check something small, which loads and compiles what they use."""
     for holds in (0, 1):
         plan_assembly(_script("arch", "arch", voussoirs=5)(), holds=holds)
+    # What a stair takes and an arch does not.
+    plan_assembly(_script("spiral_stair", "spiral_stair", steps=6)())
     check(_script("arch", "arch", voussoirs=5)())
 
 
