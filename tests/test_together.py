@@ -269,12 +269,12 @@ def test_ways_that_are_found_again_are_announced_again() -> None:
     traffic = Traffic(ARMS)
     first, second, beside = (LEFT.home + k * 0.1 * np.eye(len(LEFT.home))[0] for k in (1, 2, 3))
     assert traffic.announce(0, route(LEFT, [first, second]))
-    traffic.goes(0, "home", np.array([second, beside, LEFT.home]))
+    traffic.rerouted(0, "home", np.array([second, beside, LEFT.home]))
     legs = traffic.lanes[0].ahead
     assert [leg.stage for leg in legs] == ["approach", "cross", "home", "home"]
     turned = sweep(LEFT, capsules_of(LEFT), np.array([second, beside]))
     np.testing.assert_allclose(legs[2].swept.lines, turned.lines)
-    traffic.goes(0, "place", np.array([second, beside]))
+    traffic.rerouted(0, "place", np.array([second, beside]))
     assert traffic.lanes[0].ahead == legs
 
 
@@ -336,6 +336,30 @@ def test_nothing_is_fetched_behind_a_block_that_is_put_back(crew: Pair) -> None:
     lane.in_vain, lane.on_route = False, True
     assert not both._fetch(0, print)
     assert asked
+
+
+def test_nobody_waits_for_an_arm_whose_work_has_ended_with_an_error(
+    crew: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever it is: it is told when the other arm has done what it can."""
+    both = Together(crew, DynamicPlant)
+    mine = route(LEFT, [LEFT.home, LEFT.home])
+    both.moves[0] = crew.found[0].order.steps[0].block
+
+    def fails(who: int, progress: object) -> str | None:
+        assert both.traffic.announce(who, mine)
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(both, "_attempts", fails)
+    with pytest.raises(ZeroDivisionError):
+        both._work(0, print)
+    lane, other = both.traffic.lanes
+    assert lane.halted
+    assert lane.route is None
+    assert both.moves[0] in both.lost
+    assert not both.working[0]
+    other.refused = both.traffic.changes
+    assert both.traffic.stuck(1)  # It does not wait any longer.
 
 
 @pytest.mark.parametrize("name", ["house-small", "bridge"])

@@ -25,9 +25,9 @@ from learn2assemble.simulation.execution import (
     BLIND,
     LOADED,
     LOOSE,
+    Coordinator,
     Execution,
     Rig,
-    Road,
     abandon,
     straight_motion,
 )
@@ -219,7 +219,7 @@ class Attempts:
         """Has the models in which ways are planned, and the limits."""
         self.announce: Callable[[Execution, str], bool] = lambda run, block: True
         """Called before the arm moves, with the name of the block that it will: whether it may."""
-        self.road: Road = ALONE
+        self.coordinator: Coordinator = ALONE
         self.near: np.ndarray | None = None
         """As of :func:`~.prepare.prepare`."""
         self.stays: Callable[[Execution], None] = lambda run: None
@@ -258,7 +258,7 @@ class Attempts:
         if self.planner is not None:
             limits = self.planner.limits, self.planner.loaded
         guarded = min(CERTAIN + SPREADS * ahead.height, UNCERTAIN)
-        rig = Rig(self.plant, senses, arm, world, *limits, guarded, self.road)
+        rig = Rig(self.plant, senses, arm, world, *limits, guarded, self.coordinator)
         run = senses.run = Execution(rig, order, course, joints)
         if not self.announce(run, senses.name):
             return Came(

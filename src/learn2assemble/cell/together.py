@@ -126,7 +126,7 @@ class Together(Generic[Cell]):
             building.attempts.announce = self._announcer(who)
             if building.known.structure.studs() is not None:
                 # Dry blocks are not pressed home for so long that a halt pays.
-                building.attempts.road = self.arms[who]
+                building.attempts.coordinator = self.arms[who]
             put_beside(building.world, job.steps)
             found = crew.found[who]
             building.known.waits = steps_before(found.job, structure, found.order.steps)
@@ -203,19 +203,20 @@ class Together(Generic[Cell]):
 
     def _work(self, who: int, progress: Progress) -> None:
         """What one arm does, attempt by attempt."""
-        route = None
         try:
             self.reasons[who] = self._attempts(who, progress)
-        except PlantError as error:
-            self.stops.append(PlantError(error.stop, f"{self.worked[who].name}: {error.why}"))
-            self.reasons[who], route = str(self.stops[-1]), self.traffic.lanes[who].route
+        except BaseException as error:
+            # Whatever ended it, the other arm does not wait for it, nor place what it moved.
+            if self.traffic.lanes[who].route is not None:
+                self.lost |= {self.moves[who], *self.along[who]}
             self.traffic.stopped(who)
+            if not isinstance(error, PlantError):
+                raise
+            self.stops.append(PlantError(error.stop, f"{self.worked[who].name}: {error.why}"))
+            self.reasons[who] = str(self.stops[-1])
         finally:
             self.working[who] = False
             self.buildings[1 - who].sight.carried = set()
-        if route is not None:
-            # Whatever became of it, nobody else is to place it.
-            self.lost |= {self.moves[who], *self.along[who]}
 
     def _attempts(self, who: int, progress: Progress) -> str | None:
         building, known = self.buildings[who], self.buildings[who].known

@@ -41,7 +41,7 @@ from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.capsules import Capsules, capsules_of
 from learn2assemble.robot.moves import Failure, Outcome
 from learn2assemble.robot.sweeps import Sweep, clear, sweep
-from learn2assemble.simulation.execution import PAUSE, Road
+from learn2assemble.simulation.execution import PAUSE, Coordinator
 
 APART, PLANNED = 0.015, 0.02
 """So far the arms keep from each other as they are told to move, which they stray from by 2.4 mm
@@ -302,8 +302,7 @@ class Traffic:
             ahead = ahead[k + 1 :] if halt is None else (self._rest(lane, *halt), *ahead[k + 1 :])
         elif motion.stage != lane.stage:
             ahead, on_route = (), False
-        free = self._may(who, swept, ahead, on_route)
-        if not free:
+        if not self._may(who, swept, ahead, on_route):
             lane.refused = self.changes
             return False
         lane.here, lane.ahead, lane.on_route, lane.stage = swept, ahead, on_route, motion.stage
@@ -311,7 +310,7 @@ class Traffic:
         self.changes += 1
         return True
 
-    def goes(self, who: int, stage: str, way: np.ndarray) -> None:
+    def rerouted(self, who: int, stage: str, way: np.ndarray) -> None:
         """A stage that an arm has announced goes by other corners float64[k, n] [rad]."""
         lane = self.lanes[who]
         stages = [leg.stage for leg in lane.ahead]
@@ -349,15 +348,16 @@ class Traffic:
     def _may(self, who: int, swept: Sweep, ahead: tuple[Leg, ...], on_route: bool) -> bool:
         """Whether an arm may sweep a space, with these legs ahead of it then."""
         lane, other = self.lanes[who], self.other(who)
-        free = clear(swept, other.here, APART)
+        if not clear(swept, other.here, APART):
+            return False
         comes = None if other.placed or (other.after and other.after is lane.route) else other.route
-        if free and comes is not None:
-            # A way may have been found again since it was announced.
-            free = clear(swept, comes.goal, APART)
-        if free and on_route:
-            first, second = self._waits(who, ahead), self._waits(1 - who, other.ahead)
-            free = self._complete(swept.end, ahead, other.stays, other.ahead, first, second)
-        return free
+        # A way may have been found again since it was announced.
+        if comes is not None and not clear(swept, comes.goal, APART):
+            return False
+        first, second = self._waits(who, ahead), self._waits(1 - who, other.ahead)
+        return not on_route or self._complete(
+            swept.end, ahead, other.stays, other.ahead, first, second
+        )
 
     def passes(self, who: int, joints: np.ndarray) -> None:
         """An arm on a leg is at joints float64[n] [rad]: what it has passed is free."""
@@ -450,7 +450,7 @@ class Traffic:
         return self._known[key][0]
 
 
-class ArmInTraffic(WrappedPlant, Road):
+class ArmInTraffic(WrappedPlant, Coordinator):
     """A plant that moves when it may.
 
     Args:
@@ -470,13 +470,13 @@ class ArmInTraffic(WrappedPlant, Road):
         self.waited: float = 0.0
         """For the other arm, all in all [s]."""
 
-    def goes(self, stage: str, way: np.ndarray) -> None:
-        """See :class:`~learn2assemble.simulation.execution.Road`."""
-        self.traffic.goes(self.who, stage, way)
+    def rerouted(self, stage: str, way: np.ndarray) -> None:
+        """See :class:`~learn2assemble.simulation.execution.Coordinator`."""
+        self.traffic.rerouted(self.who, stage, way)
 
     def halt(self, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
-        """See :class:`~learn2assemble.simulation.execution.Road`: nearer to its place while it
-        waits for the other arm."""
+        """See :class:`~learn2assemble.simulation.execution.Coordinator`: nearer to its place while
+        it waits for the other arm."""
         lane, traffic = self.traffic.lanes[self.who], self.traffic
         known = lane.halt is not None and np.array_equal(lane.halt[1], end)
         if known or not lane.holding or lane.in_vain or np.abs(end - start).max() < SHORT:

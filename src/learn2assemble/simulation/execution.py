@@ -137,12 +137,12 @@ PAUSE = 0.04
 """Between two looks whether the way is free [s]."""
 
 
-class Road:
-    """What an arm says of its ways, and is told, where another one moves in its cell; here it has
-    that for itself."""
+class Coordinator:
+    """What an arm tells and asks of its ways where another one moves in its cell; here it has that
+    for itself."""
 
-    def goes(self, stage: str, way: np.ndarray) -> None:
-        """It goes by other corners, float64[k, n] [rad], than were planned."""
+    def rerouted(self, stage: str, way: np.ndarray) -> None:
+        """The arm goes by other corners, float64[k, n] [rad], than were planned."""
 
     def halt(self, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
         """Of a straight part of the way across, from joints float64[n] to others [rad]: where it is
@@ -150,7 +150,7 @@ class Road:
         return None
 
 
-ALONE = Road()
+ALONE = Coordinator()
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ class Rig:
     guarded: float = 0.0
     """So near to where an object shall stand it may meet what carries it [m], and if it meets
     nothing there, it goes back instead of being let go; 0: it is let go there, whatever it met."""
-    road: Road = ALONE
+    coordinator: Coordinator = ALONE
 
 
 class Execution:
@@ -312,7 +312,7 @@ class Execution:
         if all(checker.blocked(start, end) is None for start, end in pairwise(planned)):
             return planned
         found = free_way(checker, self.joints, way[-1], stage)
-        rig.road.goes(stage, found)
+        rig.coordinator.rerouted(stage, found)
         return found
 
     def travel(
@@ -450,7 +450,7 @@ class Execution:
         """Across, along straight lines of the joints."""
         self.inside = None
         for start, end in pairwise(way):
-            while (there := self.rig.road.halt(start, end)) is not None:
+            while (there := self.rig.coordinator.halt(start, end)) is not None:
                 if there is start:
                     self.wait(PAUSE, "cross", guard)
                 else:
