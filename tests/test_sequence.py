@@ -28,7 +28,7 @@ from learn2assemble.planning.given import contact_layers, plan_assembly
 from learn2assemble.planning.orders import OrderProblem, site_of
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.posts import find_posts
-from learn2assemble.planning.sequence import Doing, Transition, depth_first
+from learn2assemble.planning.sequence import Doing, Transition, depth_first, let_go_of
 from learn2assemble.planning.tiling.ordering import to_assembly
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.tile import tile
@@ -828,3 +828,17 @@ def test_a_prop_behind_another_one_is_walled_in_by_the_structure_alone() -> None
     still_open[whole.index("door")] = False
     assert rules.walled(State(still_open, held)) == []
     assert set(rules.walled(State(shut, held))) == {4, 5}
+
+
+def test_hands_let_go_one_after_the_other_where_what_stands_between_is_proven() -> None:
+    """Of two blocks that both are let go, the one that holds the other one up is the last."""
+    both = State(np.ones(3, bool), np.array([False, True, True]))
+
+    def proven(state: State, new: Sequence[int]) -> bool:
+        return state.held.tolist() != [False, True, False]
+
+    steps = let_go_of([2, 1], both, proven)
+    assert steps is not None
+    assert [(step.action, step.block) for step in steps] == [("release", 1), ("release", 2)]
+    assert let_go_of([2, 1], both, lambda state, new: not state.held.any()) is None
+    assert let_go_of([], both, proven) == []

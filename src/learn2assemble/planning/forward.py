@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from learn2assemble.planning.clearance import Ways
 from learn2assemble.planning.crew import ANYHOW, Anybody, Bringing, Crew
 from learn2assemble.planning.posts import Post
-from learn2assemble.planning.sequence import WAIT, Doing, FoundOrder, Transition, let_go
+from learn2assemble.planning.sequence import WAIT, Doing, FoundOrder, Transition, let_go, let_go_of
 from learn2assemble.statics.laws import Law, Proven
 from learn2assemble.statics.states import State
 
@@ -310,11 +310,11 @@ class Forward(Proven):
                         kind = after.present.tobytes(), self._hands(after)
                         if keep and self._gripped[kind] >= self.grips:
                             continue
-                        if self.stands(after, gone):
+                        freed = let_go_of(gone, taken, self.stands)
+                        if freed is not None:
                             self._gripped[kind] += 1
-                            steps = [Doing("place", b, None, arm), hold]
-                            steps += [let_go(h, taken) for h in gone]
-                            yield Transition(tuple(steps), after, last.gone)
+                            steps = Doing("place", b, None, arm), hold, *freed
+                            yield Transition(steps, after, last.gone)
                             break
                     else:
                         continue

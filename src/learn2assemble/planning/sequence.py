@@ -60,6 +60,25 @@ def let_go(block: int, state: State) -> Doing:
     return Doing("release", block, None, hand.name or None if hand is not None else None)
 
 
+def let_go_of(
+    held: Sequence[int], state: State, stands: Callable[[State, Sequence[int]], bool]
+) -> list[Doing] | None:
+    """The steps in which hands let go of blocks one after the other, or None.
+
+    Args:
+        held: the blocks; the first of them that can be let go is.
+        state: with all of these held.
+        stands: whether a state is proven, in which some blocks are not held any more.
+    """
+    if not held:
+        return []
+    for block in held:
+        if stands(after := state.change(release=[block]), [block]):
+            rest = let_go_of([other for other in held if other != block], after, stands)
+            return None if rest is None else [let_go(block, state), *rest]
+    return None
+
+
 @dataclass(frozen=True)
 class Supports:
     """What may carry blocks until they carry themselves.
