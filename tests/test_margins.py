@@ -33,7 +33,8 @@ from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.tile import tile
 from learn2assemble.statics import elastic
 from learn2assemble.statics.elastic import balance
-from learn2assemble.statics.rigid_blocks import bed_patches, margin
+from learn2assemble.statics.equilibrium import margin
+from learn2assemble.statics.rigid_blocks import bed_patches
 from learn2assemble.statics.step_proof import TOLERANCE, Proof
 from test_ordering import imbalance
 from test_rigid_blocks import GRAVITY, about, wrenches

@@ -26,8 +26,8 @@ from learn2assemble.planning.tiling.retiling import mirrored
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.standing import find_mechanisms, region_near, tile_standing
 from learn2assemble.planning.tiling.tile import Tiling, owners, tile
+from learn2assemble.statics.equilibrium import solve
 from learn2assemble.statics.proofs import LOCAL, TIGHT
-from learn2assemble.statics.rigid_blocks import solve
 from learn2assemble.statics.step_proof import TOLERANCE, Proof
 from test_tiling import LINTELS, SMALL, blocks_of, check_cover, covers, designs
 

@@ -46,7 +46,7 @@ from learn2assemble.robot.shape import arm_shape
 from learn2assemble.robot.tool import load_suction
 from learn2assemble.simulation.cell import DynamicCell
 from learn2assemble.simulation.load import Payload, peak_load
-from learn2assemble.statics.rigid_blocks import solve
+from learn2assemble.statics.equilibrium import solve
 from robot_scenes import hands
 
 ARMS = [get_arm(name, "suction-side", (-0.5, 0.0, 0.0, 0.0)) for name in ("panda", "ur5e")]

@@ -25,15 +25,14 @@ from learn2assemble.assembly.files import from_json, to_json
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError
 from learn2assemble.statics.block_forces import GRAVITY, MOST_G
+from learn2assemble.statics.equilibrium import margin, solve
 from learn2assemble.statics.rigid_blocks import (
     FALLS,
     STANDS,
     TIGHT,
     bed_patches,
     check,
-    margin,
     pressed_patches,
-    solve,
 )
 
 SAMPLE = Path(__file__).parent / "data" / "masonry.jsonl.gz"

@@ -32,8 +32,9 @@ from learn2assemble.planning.sequence import Doing, Transition, depth_first, let
 from learn2assemble.planning.tiling.ordering import to_assembly
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.tile import tile
+from learn2assemble.statics.equilibrium import margin, solve
 from learn2assemble.statics.laws import ByForces, ByLoads
-from learn2assemble.statics.rigid_blocks import FALLS, bed_patches, check, margin, solve
+from learn2assemble.statics.rigid_blocks import FALLS, bed_patches, check
 from learn2assemble.statics.states import Pushes, State, States
 from learn2assemble.statics.step_proof import Proof
 

@@ -44,8 +44,8 @@ from learn2assemble.planning.tiling.ordering import polycube
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.kinematics import forward_many, get_chain
+from learn2assemble.statics.equilibrium import margin, solve
 from learn2assemble.statics.proofs import LOCAL, PROGRAM
-from learn2assemble.statics.rigid_blocks import margin, solve
 
 ROOT = Path(__file__).resolve().parents[1]
 KIT = dataclasses.replace(load_kit("bricks-lintels"), pitch=(0.04, 0.04, 0.04))

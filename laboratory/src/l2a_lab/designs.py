@@ -215,7 +215,8 @@ def heap_entry(wanted: np.ndarray, kit: Kit) -> Result:
 
 def proof_entry(wanted: np.ndarray, kit: Kit) -> Result:
     """Random states of the order, by another solver on other contacts, and in simulation."""
-    from learn2assemble.statics.rigid_blocks import bed_patches, solve
+    from learn2assemble.statics.equilibrium import solve
+    from learn2assemble.statics.rigid_blocks import bed_patches
 
     tiling, ordering = plan_exact(wanted, kit, seconds=SECONDS)
     if ordering is None or ordering.status != "complete":
@@ -337,7 +338,7 @@ def _masonry(path: Path) -> list[tuple[Result, Assembly]]:
 
 def masonry_entry(path: Path) -> Result:
     """Agreement with the recorded verdicts of compas_cra."""
-    from learn2assemble.statics.rigid_blocks import solve
+    from learn2assemble.statics.equilibrium import solve
 
     started = time.perf_counter()
     rbe = coupled = wrong = 0

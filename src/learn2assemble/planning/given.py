@@ -24,12 +24,7 @@ from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.sequence import Sequenced, Supports, list_ids
 from learn2assemble.planning.what_carries import what_would_carry
 from learn2assemble.statics.proofs import BED, POINTS, TIGHT, Bounds, value_range
-from learn2assemble.statics.rigid_blocks import (
-    UNCERTAIN,
-    Joints,
-    bed_patches,
-    pressed_patches,
-)
+from learn2assemble.statics.rigid_blocks import UNCERTAIN, Joints, bed_patches, pressed_patches
 
 MOST_HOLDS = 8
 Progress = Callable[[str], None]

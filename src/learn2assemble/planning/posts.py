@@ -204,13 +204,14 @@ class PostSite:
 
     def _cut(self, post: Block, other: int, depth: float) -> Block | None:
         """A post without what reaches above a face of another block that looks down, or None."""
-        best = None
-        for face in self.faces[other]:
-            if face.normal[2] < DOWN:
-                made = _below(post, face)
-                if made is not None and not self._meets(parts_of(made), other, depth):
-                    best = made if best is None or made.volume > best.volume else best
-        return best
+        down = [face for face in self.faces[other] if face.normal[2] < DOWN]
+        cuts = [made for face in down if (made := _below(post, face)) is not None]
+        fits = (
+            made
+            for made in sorted(cuts, key=lambda made: -made.volume)
+            if not self._meets(parts_of(made), other, depth)
+        )
+        return next(fits, None)
 
 
 def _reaches(post: Block, face: Face, depth: float) -> bool:
@@ -221,9 +222,11 @@ def _reaches(post: Block, face: Face, depth: float) -> bool:
 def _below(post: Block, plane: Face) -> Block | None:
     """What of a convex block is outside of a face of another, or None."""
     faces, rim = list[np.ndarray](), list[np.ndarray]()
+    outside = (post.vertices - plane.foot) @ plane.normal
+    if outside.max() <= 0 or outside.min() >= 0:
+        return None  # The plane does not cut it.
     for face in post.faces:
-        corners = post.vertices[list(face)]
-        side = (corners - plane.foot) @ plane.normal
+        corners, side = post.vertices[list(face)], outside[list(face)]
         kept = list[np.ndarray]()
         for i, j in zip(range(len(face)), (*range(1, len(face)), 0), strict=True):
             if side[i] >= 0:

@@ -30,8 +30,8 @@ from learn2assemble.statics.block_forces import (
     corner_wrenches,
 )
 from learn2assemble.statics.elastic_joints import Joined, add_wrenches
+from learn2assemble.statics.equilibrium import STIFFNESS, solve
 from learn2assemble.statics.hands import NO_HANDS, held_blocks
-from learn2assemble.statics.rigid_blocks import STIFFNESS, solve
 
 _HOPS = 2
 """Contacts by which what a change reaches grows before everything is looked at."""

@@ -163,7 +163,8 @@ class Coupled:
 
         None where they fall, and where they are balanced on an edge.
         """
-        from learn2assemble.statics.rigid_blocks import NO_MARGIN, STIFFNESS, margin, solve
+        from learn2assemble.statics.equilibrium import STIFFNESS, margin, solve
+        from learn2assemble.statics.rigid_blocks import NO_MARGIN
 
         made, contacts = self.assembly
         for mu in self.friction:
