@@ -160,6 +160,12 @@ SAME: dict[str, tuple[str | bytes, dict[str, Any]]] = {
         dxf(lambda d, s: s.add_lwpolyline([(x / 25.4, y / 25.4) for x, y in RING], close=True), 1),
         {},
     ),
+    "yards.dxf": (
+        dxf(
+            lambda d, s: s.add_lwpolyline([(x / 914.4, y / 914.4) for x, y in RING], close=True), 10
+        ),
+        {},
+    ),
     "blocks.dxf": (dxf(_lines, 0), {"unit": "mm"}),
     "hatch.dxf": (
         dxf(lambda d, s: s.add_hatch().paths.add_polyline_path(RING, is_closed=True)),

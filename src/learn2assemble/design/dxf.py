@@ -24,7 +24,14 @@ from learn2assemble.design.drawings import (
 )
 from learn2assemble.errors import InputError, trusted
 
-_DXF_UNITS = {1: 0.0254, 2: 0.3048, 4: 1e-3, 5: 1e-2, 6: 1.0, 14: 0.1}
+_FOOT = 1200 / 3937
+"""Of the survey of the United States [m]."""
+_DXF_UNITS = {
+    **{1: 0.0254, 2: 0.3048, 3: 1609.344, 8: 2.54e-8, 9: 2.54e-5, 10: 0.9144},
+    **{4: 1e-3, 5: 1e-2, 6: 1.0, 7: 1e3, 13: 1e-6, 14: 0.1, 15: 10.0, 16: 100.0},
+    **{21: _FOOT, 22: _FOOT / 12, 23: 3 * _FOOT, 24: 5280 * _FOOT},
+}
+"""Lengths of a unit by the number that ``$INSUNITS`` has [m]."""
 _DXF_LINES = {"LINE", "ARC", "CIRCLE", "ELLIPSE", "LWPOLYLINE", "POLYLINE", "SPLINE"}
 _DXF_FILLED = {"HATCH", "MPOLYGON", "SOLID", "TRACE"}
 MAX_DXF = 6_000_000
