@@ -106,6 +106,18 @@ RING = [(0, 0), (0, 250), (300, 250), (300, 0), (200, 0), (200, 150), (100, 150)
 """The gate as an outline, mm, z up."""
 
 
+def _hatched(space: Any, style: int, *holes: int) -> None:
+    """The gate as one hatch with an outline for its opening, and in that one that the style leaves
+    out."""
+    hatch = space.add_hatch()
+    hatch.dxf.hatch_style = style
+    hatch.paths.add_polyline_path([(0, 0), (300, 0), (300, 250), (0, 250)], is_closed=True)
+    for number, flags in enumerate(holes):
+        left, right, top = 100 + 25 * number, 200 - 25 * number, 150 - 50 * number
+        inner = [(left, 0), (right, 0), (right, top), (left, top)]
+        hatch.paths.add_polyline_path(inner, is_closed=True, flags=flags)
+
+
 def _lines(document: Any, space: Any) -> None:
     """The gate as single lines in a block that is turned and moved."""
     block = document.blocks.new("GATE")
@@ -171,6 +183,8 @@ SAME: dict[str, tuple[str | bytes, dict[str, Any]]] = {
         dxf(lambda d, s: s.add_hatch().paths.add_polyline_path(RING, is_closed=True)),
         {},
     ),
+    "hole_in_hatch.dxf": (dxf(lambda d, s: _hatched(s, 0, 16)), {}),
+    "island_in_hatch.dxf": (dxf(lambda d, s: _hatched(s, 1, 16, 0)), {}),
     "dark.png": (png(np.where(GATE[:, 0].T[::-1], 20, 250).astype(np.uint8)), {}),
     "clear.png": (
         png(
