@@ -118,6 +118,22 @@ def _hatched(space: Any, style: int, *holes: int) -> None:
         hatch.paths.add_polyline_path(inner, is_closed=True, flags=flags)
 
 
+def _with_hidden(document: Any, space: Any) -> None:
+    """The gate in a block on a layer that is off, which layers of its own show, and much that is
+    not shown."""
+    document.layers.add("Off").off()
+    document.layers.add("Frozen").freeze()
+    document.layers.add("Shown")
+    whole = [(0, 0), (300, 0), (300, 250), (0, 250)]
+    for seen in ({"layer": "OFF"}, {"layer": "frozen"}, {"invisible": 1}):
+        space.add_lwpolyline(whole, close=True, dxfattribs=seen)
+    block = document.blocks.new("GATE")
+    block.add_lwpolyline(whole, close=True)
+    block.add_lwpolyline(RING, close=True, dxfattribs={"layer": "Shown"})
+    space.add_blockref("GATE", (0, 0), dxfattribs={"layer": "Off"})
+    space.add_blockref("GATE", (500, 0), dxfattribs={"layer": "Frozen"})
+
+
 def _lines(document: Any, space: Any) -> None:
     """The gate as single lines in a block that is turned and moved."""
     block = document.blocks.new("GATE")
@@ -185,6 +201,7 @@ SAME: dict[str, tuple[str | bytes, dict[str, Any]]] = {
     ),
     "hole_in_hatch.dxf": (dxf(lambda d, s: _hatched(s, 0, 16)), {}),
     "island_in_hatch.dxf": (dxf(lambda d, s: _hatched(s, 1, 16, 0)), {}),
+    "hidden.dxf": (dxf(_with_hidden), {}),
     "dark.png": (png(np.where(GATE[:, 0].T[::-1], 20, 250).astype(np.uint8)), {}),
     "clear.png": (
         png(

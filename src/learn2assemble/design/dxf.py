@@ -7,7 +7,7 @@ import itertools
 import logging
 import re
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,7 +43,7 @@ def read_dxf(content: bytes, source: str) -> Drawing:
     """Closed outlines of the model space of an ASCII DXF drawing, blocks expanded.
 
     Lines and arcs that meet end to end are outlines, too. Texts, dimensions and points are not
-    read.
+    read, nor is what a drawing does not show.
     """
     from ezdxf import filemanagement
 
@@ -61,7 +61,7 @@ def read_dxf(content: bytes, source: str) -> Drawing:
     with trusted(source, "a valid DXF drawing"):
         document = filemanagement.read(io.StringIO(content.decode("utf-8", "replace")))
         _dxf_bounded(document, source)
-        shown = _dxf_entities(document.modelspace(), "0")
+        shown = _dxf_entities(document.modelspace(), "0", _Hidden.of(document))
         paths = [
             (name, path, number if entity.dxftype() in _DXF_FILLED else None)
             for number, (name, entity) in enumerate(shown)
@@ -109,17 +109,42 @@ def _dxf_bounded(document: Any, source: str) -> None:
         raise InputError(source, got, f"at most {MAX_ENTITIES}")
 
 
-def _dxf_entities(entities: Iterable[Any], inherited: str) -> Iterator[tuple[str, Any]]:
-    """Entities with the layer they are drawn on; layer 0 in a block is that of the block."""
+class _Hidden(NamedTuple):
+    """Layers that a drawing does not show, in lower case: names of layers have none of their own.
+
+    What a block has on layers of its own is shown where the block is on one that is off, but not
+    where that is frozen.
+    """
+
+    off: set[str]
+    frozen: set[str]
+
+    @classmethod
+    def of(cls, document: Any) -> _Hidden:
+        """Those of a drawing."""
+        layers: list[Any] = list(document.layers)
+        return cls(
+            {layer.dxf.name.lower() for layer in layers if layer.is_off()},
+            {layer.dxf.name.lower() for layer in layers if layer.is_frozen()},
+        )
+
+
+def _dxf_entities(
+    entities: Iterable[Any], inherited: str, hidden: _Hidden
+) -> Iterator[tuple[str, Any]]:
+    """Entities that are shown, with the layer they are drawn on; layer 0 in a block is that of the
+    block."""
     for entity in entities:
         own = entity.dxf.get("layer", "0")
         layer = inherited if own == "0" else own
-        if entity.dxftype() != "INSERT":
-            yield layer, entity
-        else:
+        if entity.dxf.get("invisible", 0) or layer.lower() in hidden.frozen:
+            continue
+        if entity.dxftype() == "INSERT":
             many = entity.mcount > 1
             inside = entity.multi_insert() if many else entity.virtual_entities()
-            yield from _dxf_entities(inside, layer)
+            yield from _dxf_entities(inside, layer, hidden)
+        elif layer.lower() not in hidden.off:
+            yield layer, entity
 
 
 def _dxf_paths(entity: Any) -> list[Any]:
