@@ -156,6 +156,11 @@ def test_what_is_no_assembly_is_refused() -> None:
         AssemblyStep()
     with pytest.raises(InputError, match="lower < upper"):
         box_block("a", (0, 0, 0), (1, 0, 1))
+    for corners in (((0, 0), (1, 1, 1)), ("low", "high"), ((0, 0, [0]), (1, 1, 1))):
+        with pytest.raises(InputError, match=r"block 'a': box: .* expected two corners"):
+            box_block("a", *corners)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(InputError, match="name: got 3, expected a text"):
+        Assembly((a,), name=3)  # pyright: ignore[reportArgumentType]
 
 
 def test_removed_props_are_not_in_what_is_finished() -> None:
