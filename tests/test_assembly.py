@@ -485,6 +485,9 @@ def test_parts_without_a_mesh_in_its_place_are_refused(change: dict[str, Any], w
     nodes["1"] = {}
     with pytest.raises(InputError, match="a part of compas whose geometry is a Mesh"):
         from_compas(document)
+    mesh = {"dtype": "compas.datastructures/Mesh", "data": {"vertex": {}, "face": {}}}
+    with pytest.raises(InputError, match="Mesh', expected an Assembly of COMPAS"):
+        from_compas(mesh)
 
 
 def test_compas_structure() -> None:
