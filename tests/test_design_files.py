@@ -1026,6 +1026,11 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "none.json": ('{"elevations": []}', {}, "1 to 4"),
     "empty.json": ("{}", {}, "got 'no keys', expected the key 'elevations'"),
     "alone.json": ('{"name": "x"}', {}, "got ['name'], expected the key 'elevations'"),
+    "plan.json": (
+        '{"format": "learn2assemble-plan", "steps": []}',
+        {},
+        "format: got 'learn2assemble-plan', expected 'learn2assemble-design'; of a plan, its fold",
+    ),
     "key.json": ('{"elevation": []}', {}, "did you mean 'elevations'"),
     "nan.json": ('{"elevations": [{"outline": [[0, 0], [1, NaN], [1, 0]]}]}', {}, "finite"),
     "tall.json": ('{"elevations": [{"outline": [[0, 0], [1, 1e308], [1, 0]]}]}', {}, "1e+09"),
