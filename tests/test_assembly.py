@@ -720,6 +720,25 @@ def test_corners_of_faces_may_be_counted_back(tmp_path: Path, corner: str) -> No
         read_assembly(tmp_path / "far.obj")
 
 
+def test_groups_are_blocks_where_a_file_names_no_objects(tmp_path: Path) -> None:
+    """As Rhino exports names of objects or of layers; blocks share the edges of their joint."""
+    file = tmp_path / "groups.obj"
+    content = obj({"low": (0, 0), "high": (0, 1), "aside": (5, 0)}, "{on}")
+    file.write_bytes(content.replace(b"o ", b"g "))
+    made = {block.id: block for block in read_assembly(file).blocks}
+    assert made.keys() == {"low", "high", "aside"}
+    assert made["high"].vertices.min(0).tolist() == [0, 0, 1]
+    # Blocks of one layer, which are apart, are blocks of their own.
+    layers = obj({"low": (0, 0), "aside": (5, 0), "high": (0, 1)}, "{on}")
+    layers = layers.replace(b"o high", b"g upper #1").replace(b"o aside", b"")
+    file.write_bytes(layers.replace(b"o ", b"g "))
+    assert sorted(b.id for b in read_assembly(file).blocks) == ["low/0", "low/1", "upper #1"]
+    # A group in which two blocks share edges.
+    file.write_bytes(content.replace(b"o high", b"").replace(b"o ", b"g "))
+    with pytest.raises(InputError, match="share edges"):
+        read_assembly(file)
+
+
 def test_meshes_that_share_an_edge_in_one_file_are_refused(tmp_path: Path) -> None:
     """Which of four faces at an edge belong together cannot be told."""
     trimesh = pytest.importorskip("trimesh")
