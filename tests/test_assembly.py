@@ -156,6 +156,11 @@ def test_what_is_no_assembly_is_refused() -> None:
         AssemblyStep()
     with pytest.raises(InputError, match="lower < upper"):
         box_block("a", (0, 0, 0), (1, 0, 1))
+    for corners in (((0, 0), (1, 1, 1)), ("low", "high"), ((0, 0, [0]), (1, 1, 1))):
+        with pytest.raises(InputError, match=r"block 'a': box: .* expected two corners"):
+            box_block("a", *corners)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(InputError, match="name: got 3, expected a text"):
+        Assembly((a,), name=3)  # pyright: ignore[reportArgumentType]
 
 
 def test_removed_props_are_not_in_what_is_finished() -> None:
@@ -480,6 +485,9 @@ def test_parts_without_a_mesh_in_its_place_are_refused(change: dict[str, Any], w
     nodes["1"] = {}
     with pytest.raises(InputError, match="a part of compas whose geometry is a Mesh"):
         from_compas(document)
+    mesh = {"dtype": "compas.datastructures/Mesh", "data": {"vertex": {}, "face": {}}}
+    with pytest.raises(InputError, match="Mesh', expected an Assembly of COMPAS"):
+        from_compas(mesh)
 
 
 def test_compas_structure() -> None:
@@ -710,6 +718,25 @@ def test_corners_of_faces_may_be_counted_back(tmp_path: Path, corner: str) -> No
     (tmp_path / "far.obj").write_bytes(obj(boxes, corner).replace(b"f ", b"f -9 ", 1))
     with pytest.raises(InputError, match="a face with -9, after 8 of what it counts"):
         read_assembly(tmp_path / "far.obj")
+
+
+def test_groups_are_blocks_where_a_file_names_no_objects(tmp_path: Path) -> None:
+    """As Rhino exports names of objects or of layers; blocks share the edges of their joint."""
+    file = tmp_path / "groups.obj"
+    content = obj({"low": (0, 0), "high": (0, 1), "aside": (5, 0)}, "{on}")
+    file.write_bytes(content.replace(b"o ", b"g "))
+    made = {block.id: block for block in read_assembly(file).blocks}
+    assert made.keys() == {"low", "high", "aside"}
+    assert made["high"].vertices.min(0).tolist() == [0, 0, 1]
+    # Blocks of one layer, which are apart, are blocks of their own.
+    layers = obj({"low": (0, 0), "aside": (5, 0), "high": (0, 1)}, "{on}")
+    layers = layers.replace(b"o high", b"g upper #1").replace(b"o aside", b"")
+    file.write_bytes(layers.replace(b"o ", b"g "))
+    assert sorted(b.id for b in read_assembly(file).blocks) == ["low/0", "low/1", "upper #1"]
+    # A group in which two blocks share edges.
+    file.write_bytes(content.replace(b"o high", b"").replace(b"o ", b"g "))
+    with pytest.raises(InputError, match="share edges"):
+        read_assembly(file)
 
 
 def test_meshes_that_share_an_edge_in_one_file_are_refused(tmp_path: Path) -> None:

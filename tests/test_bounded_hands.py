@@ -242,6 +242,11 @@ def test_a_limited_hand_counts_on_a_polyhedron_inside_its_ball() -> None:
         Hand.limited((0.0, 0.0, 0.0), -1, 1)
     with pytest.raises(InputError, match=r"hand: moment: got -0\.5, expected 0 or more"):
         Hand.limited((0.0, 0.0, 0.0), 0.0, -0.5)
+    for size in (math.nan, math.inf, 1e300):
+        with pytest.raises(InputError, match=r"hand: force: got \S+, expected 0 or more, up to"):
+            Hand.limited((0.0, 0.0, 0.0), size, 1.0)
+    with pytest.raises(InputError, match=r"hand: point: .* expected three numbers"):
+        Hand.limited((0.0, 0.0), 1.0, 1.0)
 
 
 def test_a_hand_is_written_and_read() -> None:
@@ -253,8 +258,16 @@ def test_a_hand_is_written_and_read() -> None:
     assert not hand.gives(np.array([31.0, 0.0, 0.0]), np.zeros(3))
     with pytest.raises(InputError, match="0 or more: a hand may give nothing"):
         Hand((0, 0, 0), ((1.0, 0, 0, 0, 0, 0),), (-1.0,))
+    with pytest.raises(InputError, match="hand: got 'NaN or infinity'"):
+        Hand((0, 0, 0), ((1.0, 0, 0, 0, 0, 0),), (math.nan,))
     good = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    for row in ((0.0,) * 6, (0.0, 0.0, 0.0, 0.0, 1e-300, 0.0), (1.0, 0.0), (math.nan,) * 6):
+    for row in (
+        (0.0,) * 6,
+        (0.0, 0.0, 0.0, 0.0, 1e-300, 0.0),
+        (1.0, 0.0),
+        (math.nan,) * 6,
+        (math.inf,) * 6,
+    ):
         with pytest.raises(InputError, match=r"rows\[1\].*6 numbers"):
             Hand((0, 0, 0), (good, row), (1.0, 1.0))  # pyright: ignore[reportArgumentType]
     document = to_json(replace(beam(np.eye(3)), steps=steps))

@@ -554,3 +554,8 @@ def test_a_heap_that_is_too_small_says_what_it_lacks() -> None:
     assert (plan.reason or "").endswith(
         "has 7 cells; the design has 20: it lacks 13, such as 3 x long and 1 x half"
     )
+    # Blocks that have no room in the design are none that it lacks.
+    narrow = replace(design, wanted=np.ones((3, 1, 4), bool))
+    assert (plan_cells(narrow, _heap(half=2, brick=1, long=1)).reason or "").endswith(
+        "the design has 12: it lacks 4, such as 2 x brick"
+    )

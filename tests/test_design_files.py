@@ -106,6 +106,34 @@ RING = [(0, 0), (0, 250), (300, 250), (300, 0), (200, 0), (200, 150), (100, 150)
 """The gate as an outline, mm, z up."""
 
 
+def _hatched(space: Any, style: int, *holes: int) -> None:
+    """The gate as one hatch with an outline for its opening, and in that one that the style leaves
+    out."""
+    hatch = space.add_hatch()
+    hatch.dxf.hatch_style = style
+    hatch.paths.add_polyline_path([(0, 0), (300, 0), (300, 250), (0, 250)], is_closed=True)
+    for number, flags in enumerate(holes):
+        left, right, top = 100 + 25 * number, 200 - 25 * number, 150 - 50 * number
+        inner = [(left, 0), (right, 0), (right, top), (left, top)]
+        hatch.paths.add_polyline_path(inner, is_closed=True, flags=flags)
+
+
+def _with_hidden(document: Any, space: Any) -> None:
+    """The gate in a block on a layer that is off, which layers of its own show, and much that is
+    not shown."""
+    document.layers.add("Off").off()
+    document.layers.add("Frozen").freeze()
+    document.layers.add("Shown")
+    whole = [(0, 0), (300, 0), (300, 250), (0, 250)]
+    for seen in ({"layer": "OFF"}, {"layer": "frozen"}, {"invisible": 1}):
+        space.add_lwpolyline(whole, close=True, dxfattribs=seen)
+    block = document.blocks.new("GATE")
+    block.add_lwpolyline(whole, close=True)
+    block.add_lwpolyline(RING, close=True, dxfattribs={"layer": "Shown"})
+    space.add_blockref("GATE", (0, 0), dxfattribs={"layer": "Off"})
+    space.add_blockref("GATE", (500, 0), dxfattribs={"layer": "Frozen"})
+
+
 def _lines(document: Any, space: Any) -> None:
     """The gate as single lines in a block that is turned and moved."""
     block = document.blocks.new("GATE")
@@ -160,11 +188,20 @@ SAME: dict[str, tuple[str | bytes, dict[str, Any]]] = {
         dxf(lambda d, s: s.add_lwpolyline([(x / 25.4, y / 25.4) for x, y in RING], close=True), 1),
         {},
     ),
+    "yards.dxf": (
+        dxf(
+            lambda d, s: s.add_lwpolyline([(x / 914.4, y / 914.4) for x, y in RING], close=True), 10
+        ),
+        {},
+    ),
     "blocks.dxf": (dxf(_lines, 0), {"unit": "mm"}),
     "hatch.dxf": (
         dxf(lambda d, s: s.add_hatch().paths.add_polyline_path(RING, is_closed=True)),
         {},
     ),
+    "hole_in_hatch.dxf": (dxf(lambda d, s: _hatched(s, 0, 16)), {}),
+    "island_in_hatch.dxf": (dxf(lambda d, s: _hatched(s, 1, 16, 0)), {}),
+    "hidden.dxf": (dxf(_with_hidden), {}),
     "dark.png": (png(np.where(GATE[:, 0].T[::-1], 20, 250).astype(np.uint8)), {}),
     "clear.png": (
         png(
@@ -989,6 +1026,11 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "none.json": ('{"elevations": []}', {}, "1 to 4"),
     "empty.json": ("{}", {}, "got 'no keys', expected the key 'elevations'"),
     "alone.json": ('{"name": "x"}', {}, "got ['name'], expected the key 'elevations'"),
+    "plan.json": (
+        '{"format": "learn2assemble-plan", "steps": []}',
+        {},
+        "format: got 'learn2assemble-plan', expected 'learn2assemble-design'; of a plan, its fold",
+    ),
     "key.json": ('{"elevation": []}', {}, "did you mean 'elevations'"),
     "nan.json": ('{"elevations": [{"outline": [[0, 0], [1, NaN], [1, 0]]}]}', {}, "finite"),
     "tall.json": ('{"elevations": [{"outline": [[0, 0], [1, 1e308], [1, 0]]}]}', {}, "1e+09"),

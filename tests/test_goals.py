@@ -58,7 +58,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"name": "a\x07b"}, "printable"),
     ({"reach": [[0.025, 0.0, 0.12]]}, "such as 0.1 m"),
     ({"reach": [[0.025, 0.0, 0.0]]}, "such as 0.05 m"),
-    ({"reach": [[0.3, 0.0, 0.1]]}, "inside the site"),
+    ({"reach": [[0.3, 0.0, 0.1]]}, "got [0.3, 0.0, 0.1], expected a point inside the site"),
     ({"reach": [[0.025, 0.0, 5.0]]}, "inside the site"),
     ({"reach": [[0.075, 0.0, 0.05]]}, "outside the obstacles"),
     ({"occupy": [{"at": [0.075, 0.0, 0.01]}]}, "outside the obstacles"),

@@ -122,9 +122,9 @@ def test_a_mesh_without_a_unit_is_told_what_fits(tmp_path: Path) -> None:
         assert str(caught.value).endswith("; unit='mm' gives 8 × 4 × 6 cells")
     assert cells(box, unit="mm").wanted.shape == (8, 4, 6)
     large = save(trimesh.creation.box((90_000, 30_000, 60_000)), tmp_path / "large.stl")
-    with pytest.raises(InputError, match="cells_wide=32 gives 32 × 11 × 22 cells"):
+    with pytest.raises(InputError, match="cells_wide=32 gives 32 × 11 × 21 cells"):
         read_design(large, unit="m")
-    assert cells(large, cells_wide=32).wanted.shape[0] == 32
+    assert cells(large, cells_wide=32).wanted.shape == (32, 11, 21)
     small = save(trimesh.creation.box((0.4, 0.2, 0.3)), tmp_path / "small.stl")
     with pytest.raises(InputError, match=r"half full.*unit='m' gives 8 × 4 × 6 cells"):
         read_design(small, unit="mm")
@@ -134,6 +134,12 @@ def test_a_mesh_without_a_unit_is_told_what_fits(tmp_path: Path) -> None:
     )
     with pytest.raises(InputError, match=r"30 × 20 units: .*unit='cm' gives 6 × 4 cells"):
         read_design(drawing, unit="m", cell=0.05, up=None, depth=None, size=None, kit=None)
+    # What was tried does not help: 0.3 × 0.2 m in a cell of 0.4 m.
+    with pytest.raises(InputError, match="half full") as caught:
+        read_design(drawing, unit="cm", cell=0.4)
+    assert "unit='in' gives 2 × 1 cells" in str(caught.value)
+    assert "unit='cm'" not in str(caught.value)
+    assert cells(drawing, unit="in", cell=0.4).wanted.shape == (2, 1, 1)
 
 
 @pytest.mark.parametrize(

@@ -396,6 +396,25 @@ def test_what_is_said_does_not_depend_on_how_it_is_told(change: str) -> None:
     assert (other.status, len(other.steps)) == (plain.status, len(plain.steps))
 
 
+def test_what_no_step_places_stands_from_the_start_or_is_not_built() -> None:
+    """As the check says, which sees all of it."""
+    base = box_block("base", (0, 0, 0), (0.2, 0.2, 0.2))
+    upper = box_block("upper", (0, 0, 0.2), (0.2, 0.2, 0.3))
+    aside = box_block("aside", (0.5, 0, 0), (0.6, 0.2, 0.2))
+    whole = Assembly((base, upper, aside), (AssemblyStep(place="upper"),))
+    plan = plan_assembly(whole)
+    assert (plan.status, plan.blocks.available, plan.blocks.used) == ("complete", 1, 1)
+    assert plan.assembly is not None
+    assert len(plan.assembly.finished.blocks) == 3
+    assert plan.assembly.at_first == (True, False, True)
+    first = (AssemblyStep(place="base"),)
+    part = plan_assembly(replace(whole, steps=first, not_built=("upper", "aside")))
+    assert (part.status, part.blocks.available, part.blocks.used) == ("incomplete", 3, 1)
+    assert part.reason == "no step places upper, aside"
+    with pytest.raises(InputError, match="no step that places upper, not proven to stand"):
+        plan_assembly(replace(whole, steps=first))
+
+
 def test_steps_that_are_given_are_proven_with_the_hands_they_name() -> None:
     arch = script("arch").arch(9)
     plan = plan_assembly(arch, holds=1)

@@ -228,8 +228,9 @@ class Assembly:
 
     Raises:
         InputError: for ids that repeat, steps that place or remove what they cannot, a friction
-            that is not a number >= 0, blocks that are thinner than :data:`SMALLEST` or of absurdly
-            different sizes, or blocks that are placed and not built.
+            that is not a number >= 0, a name that is no text, blocks that are thinner than
+            :data:`SMALLEST` or of absurdly different sizes, or blocks that are placed and not
+            built.
     """
 
     blocks: tuple[Block, ...]
@@ -256,6 +257,8 @@ class Assembly:
         if not 0 < len(self.blocks) <= MAX_BLOCKS:
             raise InputError("blocks", len(self.blocks), f"1 to {MAX_BLOCKS} blocks")
         check_friction(self.friction)
+        if not isinstance(self.name, str):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise InputError("name", self.name, "a text")
         if not isinstance(self.joint, Joint):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise InputError("joint", self.joint, "a Joint")
         index = {block.id: k for k, block in enumerate(self.blocks)}

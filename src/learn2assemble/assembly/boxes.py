@@ -25,8 +25,15 @@ def box_block(id: str, lower: Sequence[float], upper: Sequence[float], **kwargs:
         lower: smallest x, y, z [m].
         upper: largest x, y, z [m].
         kwargs: further fields of :class:`Block`.
+
+    Raises:
+        InputError: for corners that are none, or no box.
     """
-    bounds = np.array([lower, upper], float)
+    try:
+        bounds = np.array([lower, upper], float)
+    except (TypeError, ValueError):
+        expected = "two corners of three numbers"
+        raise InputError(f"block {id!r}: box", [lower, upper], expected) from None
     if bounds.shape != (2, 3) or not (bounds[1] > bounds[0]).all():
         raise InputError(f"block {id!r}: box", bounds.tolist(), "lower < upper in x, y and z")
     return Block(id, bounds[_BOX_CORNERS, np.arange(3)], _BOX_FACES, **kwargs)

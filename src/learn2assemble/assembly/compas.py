@@ -202,6 +202,9 @@ def from_compas(document: Any, source: str = "assembly", unit: float = 1.0) -> A
         InputError: where it holds no graph of meshes, or a mesh that is no block.
     """
     data = _compas_data(document, source)
+    if "graph" not in data:
+        kind = mapping(document, source).get("dtype", sorted(data))
+        raise InputError(source, kind, "an Assembly of COMPAS, whose blocks are meshes")
     graph = _compas_data(data.get("graph"), f"{source}: graph")
     attributes = mapping(data.get("attributes") or {}, f"{source}: attributes")
     meshes: list[_CompasMesh] = []

@@ -33,7 +33,7 @@ from learn2assemble.assembly.joints import (
     joints_to_json,
 )
 from learn2assemble.assembly.kit import Kit, load_kit
-from learn2assemble.assembly.meshes import KINDS, mesh_kind, read_parts
+from learn2assemble.assembly.meshes import KINDS, groups_as_objects, mesh_kind, read_parts
 from learn2assemble.assembly.parts import shells
 from learn2assemble.assembly.values import compact, written
 from learn2assemble.errors import (
@@ -257,7 +257,8 @@ def _read_folder(
 def _mesh_blocks(
     content: bytes, source: str, stem: str, unit: float | None, up: Literal["y", "z"] | None
 ) -> Iterator[Block]:
-    """The blocks of a mesh file: one for each object of a scene, or for each shell of a mesh."""
+    """The blocks of a mesh file: one for each object of a scene, or for each shell of a mesh or of
+    a group of an OBJ file without objects."""
     import trimesh
 
     kind = mesh_kind(content)
@@ -268,7 +269,8 @@ def _mesh_blocks(
     if unit is None and kind != "glb":
         raise InputError("unit", None, "mm, cm, m or in: the file does not say it")
     objects = list[tuple[str, np.ndarray, list[list[int]]]]()
-    for part in read_parts(content, kind, source):
+    grouped = groups_as_objects(content, source) if kind == "obj" else None
+    for part in read_parts(content if grouped is None else grouped, kind, source):
         mesh: Any = trimesh.Trimesh(part.vertices, part.faces, process=False)
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
         objects.append((part.name, np.asarray(mesh.vertices), mesh.faces.tolist()))
@@ -281,7 +283,7 @@ def _mesh_blocks(
         points = (unit or 1.0) * vertices @ turn.T
         support = id_.lower().startswith("support")
         whole = outward(id_, points, tuple(map(tuple, faces)), support=support)
-        if len(objects) > 1:
+        if len(objects) > 1 and grouped is None:
             yield whole
             continue
         # Where shells share an edge it is ambiguous which faces belong together.

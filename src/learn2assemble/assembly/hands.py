@@ -16,11 +16,13 @@ from typing import Annotated
 
 import numpy as np
 
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, is_number
 from learn2assemble.geometry.circles import ball
 from learn2assemble.values import Range
 
-Number = Annotated[float, Range(-1e9, 1e9)]
+LARGEST = 1e9
+"""Size of a number of a hand, in its unit."""
+Number = Annotated[float, Range(-LARGEST, LARGEST)]
 Row = tuple[Number, Number, Number, Number, Number, Number]
 MOST_ROWS = 400
 SHORTEST = 1e-9
@@ -30,7 +32,7 @@ _DIGITS = 9
 
 
 def _check_row(number: int, row: Sequence[float]) -> None:
-    if len(row) != 6 or not math.hypot(*row) >= SHORTEST:
+    if len(row) != 6 or not SHORTEST <= math.hypot(*row) < math.inf:
         expected = f"6 numbers, as a vector of length {SHORTEST:g} or more"
         raise InputError(f"hand: rows[{number}]", list(row), expected)
 
@@ -48,12 +50,12 @@ class Hand:
 
     Raises:
         InputError: for rows and bounds that do not fit, rows that are not of 6 numbers or shorter
-            than :data:`SHORTEST`, and bounds below 0.
+            than :data:`SHORTEST`, bounds below 0, and numbers that are not finite.
     """
 
     point: tuple[Number, Number, Number]
     rows: tuple[Row, ...]
-    most: tuple[Annotated[float, Range(0, 1e9)], ...]
+    most: tuple[Annotated[float, Range(0, LARGEST)], ...]
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -64,6 +66,8 @@ class Hand:
             _check_row(number, row)
         if min(self.most) < 0:
             raise InputError("hand: most", min(self.most), "0 or more: a hand may give nothing")
+        if not all(map(math.isfinite, (*self.point, *self.most))):
+            raise InputError("hand", "NaN or infinity", "finite numbers")
 
     @classmethod
     def within(
@@ -83,6 +87,8 @@ class Hand:
         table = (rows / size[:, None]).round(_DIGITS) + 0.0
         found = [tuple(row) for row in table.tolist()]
         bounds = (np.asarray(most) / size).round(_DIGITS)
+        if len(point) != 3:
+            raise InputError("hand: point", list(point), "three numbers")
         x, y, z = (float(v) for v in point)
         return cls((x, y, z), tuple(found), tuple(bounds.tolist()), name)  # pyright: ignore[reportArgumentType]
 
@@ -94,11 +100,12 @@ class Hand:
         in every direction at least 0.886 of the size, in those of few all of it.
 
         Raises:
-            InputError: as :meth:`within`, and for a size below 0.
+            InputError: as :meth:`within`, and for a size below 0, above :data:`LARGEST`, or none.
         """
         for what, size in (("force", force), ("moment", moment)):
-            if size < 0:
-                raise InputError(f"hand: {what}", size, "0 or more: a hand may give nothing")
+            if not is_number(size, 0, LARGEST):
+                expected = f"0 or more, up to {LARGEST:g}: a hand may give nothing"
+                raise InputError(f"hand: {what}", size, expected)
         ways, share = ball(3)
         nothing = np.zeros_like(ways)
         rows = np.vstack([np.hstack([ways, nothing]), np.hstack([nothing, ways])])

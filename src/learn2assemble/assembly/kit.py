@@ -327,8 +327,8 @@ def _kind(given: _KindFile, where: str, cell: float) -> Kind:
     elif given.cells is not None and given.box is None:
         cells = _checked(given.cells, f"{where}.cells")
     else:
-        found = sorted(key for key, value in vars(given).items() if value is not None)
-        raise InputError(where, found, "either 'box' or 'cells'")
+        got = "neither" if given.box is None else "both"
+        raise InputError(where, got, "either 'box' or 'cells'")
     density = given.density
     if given.mass is not None:
         if density is not None:

@@ -11,6 +11,7 @@ import json
 import logging
 import re
 import warnings
+from collections import Counter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +25,8 @@ MAX_TRIANGLES = 200_000
 MAX_BYTES = 50_000_000
 """Largest mesh file."""
 KINDS = ("stl", "obj", "ply", "glb", "off")
+_COMMENT = re.compile(rb"^([ \t]*(?:f|vt?|vn)[ \t][^#\n]*)#[^\n]*", re.MULTILINE)
+"""Behind the numbers of an OBJ file, where the library reads on; names may have this sign."""
 
 
 class MeshPart(NamedTuple):
@@ -69,7 +72,7 @@ def read_parts(content: bytes, kind: str, source: str) -> list[MeshPart]:
     logging.getLogger("trimesh").addHandler(logging.NullHandler())
     options: dict[str, Any] = {"process": False}
     if kind == "obj":
-        content = _counted_from_one(content, source)
+        content = _counted_from_one(_COMMENT.sub(rb"\1", content), source)
         options |= {"split_objects": True, "group_material": False, "skip_materials": True}
     expected = "a whole mesh file"
     with trusted(source, expected, f" as {kind.upper()}"), np.errstate(all="ignore"):
@@ -128,6 +131,37 @@ def _promises(content: bytes, kind: str, source: str) -> None:
     if promised > min(len(content), 4 * MAX_TRIANGLES):
         got = f"{promised} vertices and faces in {len(content)} bytes"
         raise InputError(source, got, f"a whole mesh file, at most {MAX_TRIANGLES} triangles")
+
+
+def groups_as_objects(content: bytes, source: str) -> bytes | None:
+    """An OBJ file with its groups as its objects, as Rhino may name objects and layers.
+
+    Returns:
+        None where it names objects, where it has fewer than two groups, and where one of them is
+        no closed surface.
+
+    Raises:
+        InputError: for faces that name vertices that there are not.
+    """
+    if not re.search(rb"^[ \t]*g[ \t]+\S", content, re.MULTILINE):
+        return None
+    content = re.sub(rb"\\\r?\n", b" ", _counted_from_one(content, source))
+    name, edges = b"", dict[bytes, Counter[tuple[bytes, bytes]]]()
+    lines = content.splitlines()
+    for place, line in enumerate(lines):
+        key, *words = line.split() or [b""]
+        if key == b"o":
+            return None
+        if key == b"g":
+            name = b" ".join(words)
+            lines[place] = b"o " + name
+        elif key == b"f":
+            written = line.split(b"#", 1)[0].split()[1:]
+            corners = [word.split(b"/", 1)[0] for word in written]
+            around = zip(corners, [*corners[1:], corners[0]], strict=True) if corners else ()
+            edges.setdefault(name, Counter()).update(around)
+    closed = all(one[b, a] == n for one in edges.values() for (a, b), n in one.items())
+    return b"\n".join(lines) if closed and len(edges) > 1 else None
 
 
 def _counted_from_one(content: bytes, source: str) -> bytes:

@@ -100,6 +100,10 @@ class _Elevations:
 def read_elevations(document: Any, source: str) -> Drawing:
     """The elevation JSON of ``docs/design_files.md``; its two format keys may be missing."""
     given = mapping(document, source)
+    kind = given.get("format", _FORMAT)
+    if "elevations" not in given and kind != _FORMAT:
+        expected = f"{_FORMAT!r}; of a plan, its folder or assembly.json"
+        raise InputError(f"{source}: format", kind, expected)
     if "elevations" not in given and not any(closest(key, ["elevations"]) for key in given):
         raise InputError(source, sorted(given) or "no keys", "the key 'elevations'")
     root = {"format": _FORMAT, "version": 1, **given}

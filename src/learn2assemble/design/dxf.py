@@ -7,7 +7,7 @@ import itertools
 import logging
 import re
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,9 +24,17 @@ from learn2assemble.design.drawings import (
 )
 from learn2assemble.errors import InputError, trusted
 
-_DXF_UNITS = {1: 0.0254, 2: 0.3048, 4: 1e-3, 5: 1e-2, 6: 1.0, 14: 0.1}
+_FOOT = 1200 / 3937
+"""Of the survey of the United States [m]."""
+_DXF_UNITS = {
+    **{1: 0.0254, 2: 0.3048, 3: 1609.344, 8: 2.54e-8, 9: 2.54e-5, 10: 0.9144},
+    **{4: 1e-3, 5: 1e-2, 6: 1.0, 7: 1e3, 13: 1e-6, 14: 0.1, 15: 10.0, 16: 100.0},
+    **{21: _FOOT, 22: _FOOT / 12, 23: 3 * _FOOT, 24: 5280 * _FOOT},
+}
+"""Lengths of a unit by the number that ``$INSUNITS`` has [m]."""
 _DXF_LINES = {"LINE", "ARC", "CIRCLE", "ELLIPSE", "LWPOLYLINE", "POLYLINE", "SPLINE"}
-_DXF_FILLED = {"HATCH", "MPOLYGON", "SOLID", "TRACE"}
+_DXF_HATCHES = {"HATCH", "MPOLYGON"}
+_DXF_FILLED = _DXF_HATCHES | {"SOLID", "TRACE"}
 MAX_DXF = 6_000_000
 """Largest DXF drawing [bytes]."""
 
@@ -35,7 +43,7 @@ def read_dxf(content: bytes, source: str) -> Drawing:
     """Closed outlines of the model space of an ASCII DXF drawing, blocks expanded.
 
     Lines and arcs that meet end to end are outlines, too. Texts, dimensions and points are not
-    read.
+    read, nor is what a drawing does not show.
     """
     from ezdxf import filemanagement
 
@@ -53,16 +61,18 @@ def read_dxf(content: bytes, source: str) -> Drawing:
     with trusted(source, "a valid DXF drawing"):
         document = filemanagement.read(io.StringIO(content.decode("utf-8", "replace")))
         _dxf_bounded(document, source)
+        shown = _dxf_entities(document.modelspace(), "0", _Hidden.of(document))
         paths = [
-            (name, path, entity.dxftype() in _DXF_FILLED)
-            for name, entity in _dxf_entities(document.modelspace(), "0")
+            (name, path, number if entity.dxftype() in _DXF_FILLED else None)
+            for number, (name, entity) in enumerate(shown)
             for path in _dxf_paths(entity)
         ]
-        for name, filled, points in _dxf_flat(paths):
-            if filled:
-                layers.setdefault(name, Layer()).filled.append(DrawnShape([points], True))
+        for (name, number), group in itertools.groupby(_dxf_flat(paths), lambda one: one[:2]):
+            outlines = [points for *_, points in group]
+            if number is None:
+                chains.setdefault(name, []).extend(outlines)
             else:
-                chains.setdefault(name, []).append(points)
+                layers.setdefault(name, Layer()).filled.append(DrawnShape(outlines, True))
     for name, lines in chains.items():
         layers.setdefault(name, Layer()).lines.extend(_closed(lines))
     metres = _DXF_UNITS.get(int(document.header.get("$INSUNITS", 0)))
@@ -99,17 +109,42 @@ def _dxf_bounded(document: Any, source: str) -> None:
         raise InputError(source, got, f"at most {MAX_ENTITIES}")
 
 
-def _dxf_entities(entities: Iterable[Any], inherited: str) -> Iterator[tuple[str, Any]]:
-    """Entities with the layer they are drawn on; layer 0 in a block is that of the block."""
+class _Hidden(NamedTuple):
+    """Layers that a drawing does not show, in lower case: names of layers have none of their own.
+
+    What a block has on layers of its own is shown where the block is on one that is off, but not
+    where that is frozen.
+    """
+
+    off: set[str]
+    frozen: set[str]
+
+    @classmethod
+    def of(cls, document: Any) -> _Hidden:
+        """Those of a drawing."""
+        layers: list[Any] = list(document.layers)
+        return cls(
+            {layer.dxf.name.lower() for layer in layers if layer.is_off()},
+            {layer.dxf.name.lower() for layer in layers if layer.is_frozen()},
+        )
+
+
+def _dxf_entities(
+    entities: Iterable[Any], inherited: str, hidden: _Hidden
+) -> Iterator[tuple[str, Any]]:
+    """Entities that are shown, with the layer they are drawn on; layer 0 in a block is that of the
+    block."""
     for entity in entities:
         own = entity.dxf.get("layer", "0")
         layer = inherited if own == "0" else own
-        if entity.dxftype() != "INSERT":
-            yield layer, entity
-        else:
+        if entity.dxf.get("invisible", 0) or layer.lower() in hidden.frozen:
+            continue
+        if entity.dxftype() == "INSERT":
             many = entity.mcount > 1
             inside = entity.multi_insert() if many else entity.virtual_entities()
-            yield from _dxf_entities(inside, layer)
+            yield from _dxf_entities(inside, layer, hidden)
+        elif layer.lower() not in hidden.off:
+            yield layer, entity
 
 
 def _dxf_paths(entity: Any) -> list[Any]:
@@ -117,8 +152,12 @@ def _dxf_paths(entity: Any) -> list[Any]:
     from ezdxf import path
 
     kind = entity.dxftype()
-    if kind in ("HATCH", "MPOLYGON"):
-        return list(path.from_hatch(entity))
+    if kind in _DXF_HATCHES:
+        made = (
+            path.from_hatch_boundary_path(outline, entity.ocs(), entity.dxf.elevation.z)
+            for outline in _hatch_outlines(entity)
+        )
+        return [part for one in made for part in (one.sub_paths() if one.has_sub_paths else [one])]
     if kind not in _DXF_LINES | _DXF_FILLED:
         return []
     made = path.make_path(entity)
@@ -127,22 +166,41 @@ def _dxf_paths(entity: Any) -> list[Any]:
     return [made]
 
 
-def _dxf_flat(paths: list[tuple[str, Any, bool]]) -> Iterator[tuple[str, bool, np.ndarray]]:
-    """Vertices ``float64[V, 2]`` of every path, curves as lines."""
-    drawn = [(name, path, filled) for name, path, filled in paths if len(path)]
+def _hatch_outlines(hatch: Any) -> list[Any]:
+    """The outlines of a hatch between which it is filled by the even-odd rule: all, but where its
+    style counts those alone that it marks as the outer ones."""
+    from ezdxf.lldxf import const
+
+    style = hatch.dxf.get("hatch_style", const.HATCH_STYLE_NESTED)
+    outlines: list[Any] = list(hatch.paths)
+    marked = any(one.path_type_flags & const.BOUNDARY_PATH_OUTERMOST for one in outlines)
+    if style == const.HATCH_STYLE_IGNORE or (style == const.HATCH_STYLE_OUTERMOST and marked):
+        return list(hatch.paths.rendering_paths(style)) or outlines
+    return outlines
+
+
+def _dxf_flat(
+    paths: list[tuple[str, Any, int | None]],
+) -> Iterator[tuple[str, int | None, np.ndarray]]:
+    """Vertices ``float64[V, 2]`` of every path, curves as lines.
+
+    Args:
+        paths: each with its layer, and the number of what it fills, or None.
+    """
+    drawn = [(name, path, number) for name, path, number in paths if len(path)]
     boxes = [np.array([(v.x, v.y) for v in path.control_vertices()]) for _, path, _ in drawn]
     everything = np.concatenate(boxes) if boxes else np.zeros((1, 2))
     if not np.isfinite(everything).all():
         raise ValueError("coordinates that are no numbers")
     reach = max(float(np.ptp(everything, axis=0).max()), 1e-12)
     vertices = 0
-    for name, path, filled in drawn:
+    for name, path, number in drawn:
         flat = path.flattening(FINE * reach, segments=2)
         points = np.array([(v.x, v.y) for v in itertools.islice(flat, MAX_VERTICES)])
         vertices += len(points)
         if vertices > MAX_VERTICES:
             break  # refused for their number
-        yield name, filled, points
+        yield name, number, points
 
 
 def _closed(chains: list[np.ndarray]) -> Contours:

@@ -93,7 +93,7 @@ def from_drawing(drawing: Drawing, origin: Origin) -> CellDesign:
     origin = replace(
         origin,
         kit=kit,
-        remedies=extent.remedies(),
+        remedies=extent.remedies(scale),
         blocks=drawing.blocks,
         note="; ".join(dict.fromkeys(filter(None, (origin.note, moves, *lost)))),
     )

@@ -204,8 +204,10 @@ def _on_lattice(file: GoalsFile, kit: Kit, source: str) -> Goals:
             raise InputError(f"{source}: {what}", count, f"at most {most}")
     corner = np.array([-shape[0] / 2, -shape[1] / 2, 0.0])
 
-    def cell_of(point: Point, where: str) -> Cell:
-        place = np.floor(np.array(point) / pitch - corner + 1e-6).astype(int)
+    def cell_of(point: Point, where: str, below: float = 0.0) -> Cell:
+        """The cell of a point, or of what is so much below it [m]."""
+        inside = point[0], point[1], point[2] - below
+        place = np.floor(np.array(inside) / pitch - corner + 1e-6).astype(int)
         if (place < 0).any() or (place >= shape).any():
             half = shape * pitch / 2
             words = (
@@ -255,7 +257,7 @@ def _on_lattice(file: GoalsFile, kit: Kit, source: str) -> Goals:
         if level < 0.5 or abs(level - round(level)) > _GRAIN:
             nearest = max(round(level), 1) * pitch[2]
             raise InputError(where, point[2], f"the height of a top face, such as {nearest:g} m")
-        x, y, z = cell_of((point[0], point[1], (round(level) - 0.5) * float(pitch[2])), where)
+        x, y, z = cell_of(point, where, (level - round(level) + 0.5) * float(pitch[2]))
         must[x, y, z] = True
         names.append((where, (x, y, z)))
         surfaces.append(Surface((x, y, z), point, mass))

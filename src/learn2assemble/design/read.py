@@ -253,7 +253,7 @@ def _from_solid(solid: Solid, origin: Origin) -> CellDesign:
     if solid.holes:
         largest = millimetres(max(solid.holes) * scale)
         note = f"{in_words(len(solid.holes))} of the mesh closed, up to {largest} wide"
-    origin = replace(origin, remedies=extent.remedies(), note=note)
+    origin = replace(origin, remedies=extent.remedies(scale), note=note)
     return design_of(np.clip(share, 0, 1), origin, cell, surface=placed - first)
 
 

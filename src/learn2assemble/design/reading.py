@@ -193,13 +193,21 @@ class Extent:
             edges = _times(f"{edge:g}" for edge in self.cell)
             got = f"{self}: {_counts(cells)} cells of {edges} m"
             expected = f"at most {MAX_CELLS} each way (another unit, size or cell?)"
-            raise InputError(self.source, got, expected, *self.remedies())
+            raise InputError(self.source, got, expected, *self.remedies(scale))
 
-    def remedies(self) -> tuple[Remedy, ...]:
-        """The units in which it fits, most cells first, or a number of cells that does."""
+    def remedies(self, tried: float | None = None) -> tuple[Remedy, ...]:
+        """The units in which it fits, most cells first, or a number of cells that does.
+
+        Args:
+            tried: length of a unit that does not fit [m].
+        """
         if self.fixed:
             return ()
-        sizes = {unit: self.units * length / self.cell for unit, length in UNITS.items()}
+        sizes = {
+            unit: self.units * length / self.cell
+            for unit, length in UNITS.items()
+            if tried is None or not math.isclose(length, tried)
+        }
         fit = {
             unit: cells
             for unit, cells in sizes.items()
@@ -207,12 +215,12 @@ class Extent:
         }
         if fit:
             found = sorted(fit, key=lambda unit: -fit[unit].max())[:2]
-            return tuple(Remedy("unit", u, f"gives {_counts(fit[u])} cells") for u in found)
+            return tuple(Remedy("unit", u, f"gives {_counts(fit[u].round())} cells") for u in found)
         shape = self.units / self.cell
         wide = int(min(USUAL_WIDE, MAX_CELLS * shape[0] / shape.max()))
         if wide < 1:
             return ()
-        counts = _counts(shape * (wide / shape[0]))
+        counts = _counts((shape * (wide / shape[0])).round())
         return (Remedy("cells_wide", wide, f"gives {counts} cells"),)
 
 

@@ -94,8 +94,14 @@ def plan_assembly(
     mortar = assembly.holds and not widest
     problem = OrderProblem(assembly, layers, tuple(sorted(set(ends))), mortar=mortar)
     clock = Clock(seconds)
+    before = wanted = None
     if assembly.steps:
         found = follow_steps(problem, clock, progress)
+        before = np.array(assembly.at_first)
+        wanted = ~before & [not (block.support or block.prop) for block in assembly.blocks]
+        if found.status == "complete" and assembly.not_built:
+            names = list_ids(assembly.blocks, map(assembly.index, assembly.not_built))
+            found = replace(found, status="not found", reason=f"no step places {names}")
     else:
         found = find_sequence(problem, help_, clock, progress)
         unsure = not widest and joints.decide(ends[0]).verdict == UNCERTAIN
@@ -108,7 +114,8 @@ def plan_assembly(
             found = replace(found, reason="; ".join(filter(None, (found.reason, more))))
         elif found.status == "not found":
             found = _advised(found, problem, joints, help_, clock)
-    return plan_of(assembly, found, ends, None if gap is None else (0.0, widest), started)
+    gaps = None if gap is None else (0.0, widest)
+    return plan_of(assembly, found, ends, gaps, started, before, wanted)
 
 
 def supports_called(

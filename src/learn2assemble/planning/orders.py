@@ -18,6 +18,7 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
 from learn2assemble.assembly.contacts import Contacts, contact_tolerance, find_contacts
 from learn2assemble.assembly.cuts import ground_of
+from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.centring import find_centring
 from learn2assemble.planning.clearance import FreeWays
@@ -25,7 +26,7 @@ from learn2assemble.planning.crew import NOBODY
 from learn2assemble.planning.disassembly import TakingApart
 from learn2assemble.planning.fewest_posts import fewest_posts
 from learn2assemble.planning.forward import ANY_GRIPS, BuildingSite, Forward
-from learn2assemble.planning.posts import Post, find_posts
+from learn2assemble.planning.posts import Post, find_posts, with_own_ids
 from learn2assemble.planning.sequence import (
     WAIT,
     Doing,
@@ -176,15 +177,25 @@ def _helped(
 def follow_steps(
     problem: OrderProblem, clock: Clock, progress: Progress = lambda text: None
 ) -> Sequenced:
-    """Proof of the steps that an assembly comes with, up to the first state that is not proven."""
+    """Proof of the steps that an assembly comes with, up to the first state that is not proven.
+
+    Raises:
+        InputError: where what stands before the first step is not proven to.
+    """
     order = _DryOrder(problem, _NO_SUPPORTS, (), clock, progress)
-    index = problem.assembly.index
+    rules, index = order.rules, problem.assembly.index
+    begin = replace(rules.start, present=rules.start.present | problem.assembly.at_first)
+    if begin.key != rules.start.key and not rules.stands(begin):
+        names = list_ids(order.blocks, rules.laws[-1].moving(begin)) or "some blocks"
+        got = f"no step that places {names}, not proven to stand at the start"
+        raise InputError("steps", got, "blocks that stand, or not_built, where no step places them")
+    rules.start = begin
     steps: list[Doing] = []
     for step in problem.assembly.steps:
         cures = step.wait is not None and step.wait >= problem.assembly.age
         done = Doing(step.action, index(step.block), None, step.arm, step.hand)
         steps += [WAIT] * cures + [done]
-    state, proven, stuck = order.rules.start, 0, ()
+    state, proven, stuck = begin, 0, ()
     for number, step in enumerate(steps):
         state = step.after(state)
         if step.action == "wait":
@@ -192,7 +203,7 @@ def follow_steps(
         if held_at_once(steps, number) is not None:
             continue  # The hand that placed it has it still: both steps are proven as one.
         new = [step.block] if step.action in ("place", "release") else []
-        if clock.left <= 0 or not order.rules.stands(state, new):
+        if clock.left <= 0 or not rules.stands(state, new):
             stuck = (step.block,)
             break
         proven = number + 1
@@ -222,7 +233,7 @@ class _DryOrder:
     ) -> None:
         given = problem.assembly.blocks
         count, layers = len(given), problem.layers
-        made = _distinct(given, [post.block for post in posts])
+        made = with_own_ids(given, [post.block for post in posts])
         whole = Assembly((*given, *made), friction=problem.assembly.friction)
         self.blocks, self.count = whole.blocks, count
         self.clock = clock
@@ -372,19 +383,6 @@ def site_of(
         ways=FreeWays(blocks, contacts, 2 * float(contact_tolerance(given).max()), count),
         mortar=problem.mortar and problem.assembly.age > 0,
     )
-
-
-def _distinct(blocks: Sequence[Block], more: Sequence[Block]) -> list[Block]:
-    """The blocks ``more`` with ids that no other has."""
-    ids = {block.id for block in blocks}
-    made = list[Block]()
-    for block in more:
-        name = block.id
-        while name in ids:
-            name += "'"
-        ids.add(name)
-        made.append(replace(block, id=name))
-    return made
 
 
 def _joined(contacts: Contacts, more: Contacts) -> Contacts:

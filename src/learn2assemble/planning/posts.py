@@ -8,6 +8,7 @@ and to those of the neighbours it would reach into. It is a block like others, m
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -78,6 +79,19 @@ def find_posts(
     """
     site = PostSite(blocks, contacts, ground)
     return [post for k, block in enumerate(blocks) if not block.support for post in site.posts(k)]
+
+
+def with_own_ids(blocks: Sequence[Block], posts: Sequence[Block]) -> list[Block]:
+    """The posts with ids that neither a block nor another post has."""
+    ids = {block.id for block in blocks}
+    made = list[Block]()
+    for post in posts:
+        name = post.id
+        while name in ids:
+            name += "'"
+        ids.add(name)
+        made.append(replace(post, id=name))
+    return made
 
 
 class PostSite:

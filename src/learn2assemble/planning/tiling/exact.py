@@ -164,7 +164,7 @@ def _impossible(wanted: np.ndarray, kit: Kit) -> tuple[str, np.ndarray]:
         lacking = len(cells) - kit.most_cells
         return (
             f"the heap of kit `{kit.name}` has {kit.most_cells} cells; the design has "
-            f"{len(cells)}: it lacks {lacking}, such as {in_blocks(lacking, kit)}",
+            f"{len(cells)}: it lacks {lacking}, such as {in_blocks(lacking, kit, wanted)}",
             none,
         )
     return "", none

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from learn2assemble.assembly.kit import Cell, Kit, parts_of
+from learn2assemble.assembly.kit import Cell, Kit, Orientation, orientations, parts_of
 from learn2assemble.linear_programs import INF, Clock
 from learn2assemble.planning.tiling.candidates import (
     BlockPlacement,
@@ -356,9 +356,12 @@ def describe_cells(wanted: np.ndarray, cells: np.ndarray) -> tuple[str, int, Cel
     return words if run > 1 else f"the cell {first}", run, first
 
 
-def in_blocks(cells: int, kit: Kit) -> str:
-    """Blocks of ``kit`` that have so many cells or a few more, the largest first, in words."""
-    kinds = sorted(kit.kinds, key=lambda kind: -len(kind.cells))
+def in_blocks(cells: int, kit: Kit, wanted: np.ndarray) -> str:
+    """Blocks of ``kit`` that have so many cells or a few more, the largest first, in words: of
+    those that have room among the wanted cells, where any has."""
+    some = {way.kind for way in orientations(kit) if _has_room(way, wanted)}
+    kinds = [kind for k, kind in enumerate(kit.kinds) if k in some or not some]
+    kinds.sort(key=lambda kind: -len(kind.cells))
     found = dict[str, int]()
     for kind in kinds:
         last = kind is kinds[-1]
@@ -367,3 +370,15 @@ def in_blocks(cells: int, kit: Kit) -> str:
             found[kind.name] = count
             cells -= count * len(kind.cells)
     return " and ".join(f"{n} x {name}" for name, n in found.items())
+
+
+def _has_room(way: Orientation, wanted: np.ndarray) -> bool:
+    """Whether a block that lies so is somewhere among the wanted cells."""
+    cells = np.array(way.cells)
+    room = np.array(wanted.shape) - cells.max(0)
+    if room.min() < 1:
+        return False
+    free = np.ones(room, bool)
+    for low in cells:
+        free &= wanted[tuple(slice(a, a + n) for a, n in zip(low, room, strict=True))]
+    return bool(free.any())
