@@ -39,7 +39,7 @@ from learn2assemble.jobs.driven import Link, Timed, check_robot, take_away
 from learn2assemble.motion.plant import Plant, PlantError, Stop
 from learn2assemble.motion.remote import RemotePlant, in_process
 from learn2assemble.motion.robots import Robots
-from learn2assemble.motion.safety import Guarded
+from learn2assemble.motion.safety import Guarded, check_share
 from learn2assemble.motion.setup import WALL, Setup, Surroundings, check_address, open_plant
 from learn2assemble.motion.trust import Placements, Trusted
 from learn2assemble.planning.plan import Plan, load_plan
@@ -129,7 +129,7 @@ def run(
             bases of the plan. Its sections ``program`` and ``safety`` hold for the robots.
         state: file that is appended to after every attempt; where it exists, the run goes on from
             it, and from what is sensed.
-        speed: share of the planned speed, above 0 and up to 1.
+        speed: share of the planned speed, 0.001 to 1.
         confirm: asked before every attempt, with the number of steps that are done or under way
             and with what comes next in words; where it says no, the run pauses.
         around: what sees blocks, what serves the cell, and how long silence may last. With two
@@ -151,8 +151,7 @@ def run(
     if not count or plan.assembly is None or not plan.complete:
         got = f"{plan.status}, {count or 'no'} arm{'s' * (count != 1)}"
         raise InputError("plan", got, "a complete plan of an arm, or of two (`arm=`)")
-    if not 0 < speed <= 1:
-        raise InputError("speed", speed, "a share, above 0 and at most 1")
+    check_share(speed)
     if len(robots) != count and robots != [SIMULATION]:
         arms = ", ".join(one.name for one in plan.arms) or "one arm"
         several = f"{len(robots)} robot{'s' * (len(robots) != 1)}"
