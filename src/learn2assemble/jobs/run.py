@@ -216,13 +216,14 @@ def _by_one(
         seeing: Plant = Trusted(plant, setup)
     else:
         seeing = through_cameras(plant, setup, job.pieces, workcell.site.cameras)
-    timed = Timed(Guarded(seeing, job.arm, workcell.site.safety, order.speed))
-    check_robot(timed, setup, bool(workcell.log and workcell.log.exists()))
+    timed = Timed(seeing)
+    driven = Guarded(timed, job.arm, workcell.site.safety, order.speed)
+    check_robot(driven, setup, bool(workcell.log and workcell.log.exists()))
     words, witness, key = words_of(job, workcell), Witness(plant), key_of(order.plan, workcell)
-    building = Building(found, workcell, timed, words, key, Kept.of(seeing), witness)
+    building = Building(found, workcell, driven, words, key, Kept.of(seeing), witness)
     known = building.known
     if setup.around.trust_placements:
-        take_away(timed, setup, building)
+        take_away(driven, setup, building)
 
     def satisfied() -> int:
         return sum(known.satisfied(step) for step in known.planned)
@@ -356,7 +357,7 @@ class _CellOfTwo:
             self.cell = Robots(plants, around, self.known)
         resumed = bool(self.order.file and self.order.file.exists())
         for who, plant in enumerate(self.cell.plants):
-            stack, own, name = self._stack(who, plant), self.setups[who], self.names[who]
+            (_, stack), own, name = self._stack(who, plant), self.setups[who], self.names[who]
             self._told(who, check_robot, stack, own, resumed, name)
         return self.cell
 
@@ -369,14 +370,16 @@ class _CellOfTwo:
 
     def through(self, who: int, plant: Plant) -> Plant:
         """See :class:`~learn2assemble.cell.together.Together`."""
-        self.driven.append(self._stack(who, plant))
-        return self.driven[who]
+        timed, driven = self._stack(who, plant)
+        self.driven.append(timed)
+        return driven
 
-    def _stack(self, who: int, plant: Plant) -> Timed:
-        """What an arm is driven through."""
+    def _stack(self, who: int, plant: Plant) -> tuple[Timed, Plant]:
+        """What tells how a robot does what it is told, and through what its arm is driven."""
         own = self.setups[who]
         seeing = plant if self.known is None else Trusted(plant, own, self.known)
-        return Timed(Guarded(seeing, own.arm, self.order.site.safety, self.order.speed))
+        timed = Timed(seeing)
+        return timed, Guarded(timed, own.arm, self.order.site.safety, self.order.speed)
 
     def _open(self, who: int) -> Plant:
         """The plant of a robot; behind an address in a process of its own, so that it is watched
