@@ -462,6 +462,16 @@ def test_a_build_keeps_the_rules_of_its_layout(tmp_path: Path) -> None:
             },
             "obstacles",
         ),
+        (
+            {
+                "magazines": [
+                    {"kind": "1x4", "at": [0.2, -0.3]},
+                    {"kind": "1x4", "at": [0.22, -0.3]},
+                ]
+            },
+            "magazines[1]: got [0.22, -0.3, 0.0], expected a place that does not overlap "
+            "magazines[0]",
+        ),
         ({"obstacles": [{"at": [0, 0], "size": [0, 0.1, 0.1]}]}, "positive"),
         (
             {"magazines": [{"kind": "1x4", "at": [0.2, -0.3]}, {"kind": "1x44", "at": [0, -0.3]}]},
