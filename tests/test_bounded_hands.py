@@ -242,6 +242,12 @@ def test_a_limited_hand_counts_on_a_polyhedron_inside_its_ball() -> None:
         Hand.limited((0.0, 0.0, 0.0), -1, 1)
     with pytest.raises(InputError, match=r"hand: moment: got -0\.5, expected 0 or more"):
         Hand.limited((0.0, 0.0, 0.0), 0.0, -0.5)
+    with pytest.raises(InputError, match="force"):
+        Hand.limited((0.0, 0.0, 0.0), float("nan"), 1)
+    with pytest.raises(InputError, match="three finite numbers"):
+        Hand.limited((0.0, 0.0), 1, 1)
+    with pytest.raises(InputError, match="three finite numbers"):
+        Hand.limited((0.0, 0.0, float("nan")), 1, 1)
 
 
 def test_a_hand_is_written_and_read() -> None:

@@ -83,6 +83,10 @@ class Hand:
         table = (rows / size[:, None]).round(_DIGITS) + 0.0
         found = [tuple(row) for row in table.tolist()]
         bounds = (np.asarray(most) / size).round(_DIGITS)
+        if np.shape(point) != (3,) or not np.isfinite(point).all():
+            raise InputError("hand: point", point, "three finite numbers")
+        if not np.isfinite(bounds).all():
+            raise InputError("hand: most", bounds.tolist(), "finite numbers")
         x, y, z = (float(v) for v in point)
         return cls((x, y, z), tuple(found), tuple(bounds.tolist()), name)  # pyright: ignore[reportArgumentType]
 
@@ -97,7 +101,7 @@ class Hand:
             InputError: as :meth:`within`, and for a size below 0.
         """
         for what, size in (("force", force), ("moment", moment)):
-            if size < 0:
+            if not 0 <= size < np.inf:
                 raise InputError(f"hand: {what}", size, "0 or more: a hand may give nothing")
         ways, share = ball(3)
         nothing = np.zeros_like(ways)
