@@ -399,6 +399,9 @@ def test_plans_that_no_arm_can_carry_out_are_refused(tmp_path: Path) -> None:
         run(plan, speed=0.0)
     with pytest.raises(InputError, match="sim://"):
         run(plan, "localhost")
+    nobody: Any = 5
+    with pytest.raises(InputError, match="or a plant"):
+        run(plan, nobody)
     with pytest.raises(InputError, match="got 'sim://foo', expected sim:// alone"):
         run(plan, "sim://foo")
     with pytest.raises(InputError, match="did you mean 'ur'"):

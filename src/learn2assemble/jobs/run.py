@@ -145,6 +145,8 @@ def run(
     for one in robots:
         if isinstance(one, str):
             check_address(one)
+        elif not callable(getattr(one, "execute", None)):
+            raise InputError("robot", one, "an address, as sim:// or ur://HOST, or a plant")
     if not isinstance(plan, Plan):
         plan = load_plan(plan)
     count = len(plan.arms) or int(plan.arm is not None)
