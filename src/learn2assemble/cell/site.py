@@ -476,11 +476,8 @@ def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[
             raise InputError(where, at, f"a place on the table ({width:g} x {depth:g} m)")
         if face.intersection(structure).area > 1e-9:
             raise InputError(where, at, "a place outside the building site")
-        name = where.split(": ")[-1]
-        for (
-            what,
-            area,
-        ) in blocked:  # One magazine presents blocks of its kind, whatever their shape.
+        name = where.split(": ")[-1]  # A magazine presents blocks of several shapes.
+        for what, area in blocked:
             if (what != name or not source.magazine) and face.intersection(area).area > 1e-9:
                 raise InputError(where, at, f"a place that does not overlap {what}")
         blocked.append((name, face))
