@@ -23,6 +23,8 @@ TASK = "one-sided-3x3-22-24"
 LONG = "x" * 300
 """Longer than a file name may be."""
 ARCH = str(Path(__file__).parents[1] / "examples" / "structures" / "arch.obj")
+TWO = ("--arm", "panda", "--arm", "ur5e")
+"""Of two arms."""
 WALL = str(Path(__file__).parent / "data" / "example_plan" / "assembly.json")
 """An assembly that can be checked."""
 PROGRAM_RATES = {
@@ -464,6 +466,51 @@ BAD = [
         "a video of nobody",
         ["build", "{d}/design.json", "--out", "{d}/new", "--video"],
         "--video: got 'no arm'",
+    ),
+    BadCall(
+        "a video of a cell in which nothing moves",
+        exact_arm("--physics", "kinematic", "--video"),
+        "--video: got 'a cell in which nothing moves'",
+    ),
+    BadCall(
+        "noise where two arms are only planned for",
+        exact_arm("--arm", "ur5e", "--physics", "kinematic", "--sense-noise", "0.5"),
+        "noise: got (0.0005, 0.0), expected none",
+    ),
+    BadCall(
+        "blocks for two hands of which one brings",
+        ["build", WALL, "--out", "{d}/new", *TWO, "--holds", "2"],
+        "holds: got 2, expected 0 or 1 with two arms",
+    ),
+    BadCall(
+        "hands for blocks without studs, with two arms",
+        ["build", WALL, "--out", "{d}/new", *TWO, "--hands"],
+        "hands: got True, expected bricks that clutch",
+    ),
+    BadCall(
+        "bricks that an arm of two shall hold",
+        [
+            "build",
+            "{d}/bricks/good.txt",
+            "--kit",
+            "duplo",
+            "--out",
+            "{d}/new",
+            *TWO,
+            "--holds",
+            "1",
+        ],
+        "holds: got 1, expected none of bricks",
+    ),
+    BadCall(
+        "mortar with two arms",
+        exact_arm("--arm", "ur5e", "--kit", "bricks-mortar"),
+        "kit: got 'bricks-mortar', expected dry blocks or bricks",
+    ),
+    BadCall(
+        "more blocks in hands than are looked for",
+        ["build", WALL, "--out", "{d}/new", "--holds", "9"],
+        "holds: got 9, expected a whole number from 0 to 8",
     ),
     BadCall(
         "no props and props",

@@ -245,8 +245,10 @@ def test_a_limited_hand_counts_on_a_polyhedron_inside_its_ball() -> None:
     for size in (math.nan, math.inf, 1e300):
         with pytest.raises(InputError, match=r"hand: force: got \S+, expected 0 or more, up to"):
             Hand.limited((0.0, 0.0, 0.0), size, 1.0)
-    with pytest.raises(InputError, match=r"hand: point: .* expected three numbers"):
+    with pytest.raises(InputError, match=r"hand: point: .* expected three finite numbers"):
         Hand.limited((0.0, 0.0), 1.0, 1.0)
+    with pytest.raises(InputError, match="three finite numbers"):
+        Hand.limited((0.0, 0.0, math.nan), 1, 1)
 
 
 def test_a_hand_is_written_and_read() -> None:

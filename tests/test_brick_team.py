@@ -73,6 +73,29 @@ def test_two_arms_find_the_order_of_one(stair: Ordered) -> None:
     assert [arm.tool for arm in plan.arms] == ["gripper", "gripper"]
 
 
+def test_what_is_only_planned_says_who_brings_what_and_why_it_stands() -> None:
+    plan = l2a.build(STAIR, arm=("panda", "ur5e"), tool="socket-large", physics="kinematic")
+    assert plan.complete
+    assert plan.assembly is not None
+    assert {step.arm for step in plan.steps} == {"panda", "ur5e"}
+    assert all(step.proof and step.margin_g is not None for step in plan.steps)
+    ids = [plan.assembly.blocks[step.block].id for step in plan.steps]
+    assert [step.place for step in plan.assembly.steps] == ids
+    assert [step.way for step in plan.assembly.steps] == [None, None, "beside", "beside"]
+
+
+def test_what_one_arm_builds_beside_comes_when_the_other_one_brings_it() -> None:
+    plan = l2a.build(STAIR, arm=("panda", "ur5e"), tool="socket-large")
+    assert plan.complete
+    heights = [step.position[2] for step in plan.steps]
+    assert heights == sorted(heights)
+    assert {step.proof for step in plan.steps} == {"joints that hold"}
+    assert len({step.arm for step in plan.steps if step.way == "beside"}) == 1
+    did = [arm.did for arm in plan.arms]
+    assert [one and one.attempts_per_step for one in did] == [1.0, 1.0]
+    assert sum(one.attempts for one in did if one) == 5
+
+
 def test_what_no_order_bears_to_be_pressed_is_refused() -> None:
     """A hook, whose last brick hangs: it has to come from below, or with all of the hook."""
     hook = duplo(*(((2, 4), at) for at in ((0, 8, 0), (0, 6, 1), (0, 4, 2), (0, 2, 3), (0, 0, 2))))

@@ -6,6 +6,7 @@ import heapq
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,6 +29,7 @@ from learn2assemble.cli.commands import _print_plan
 from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError
 from learn2assemble.export.cards import step_cards
+from learn2assemble.export.robot_programs import export_program
 from learn2assemble.jobs.build import build
 from learn2assemble.motion.setup import Disturbance
 from learn2assemble.planning.plan import Plan
@@ -597,6 +599,26 @@ def test_two_arms_turn_one_structure_into_another(noise: tuple[float, float]) ->
     if not any(noise):
         # What the other arm carries away is no disturbance.
         assert not any(one.failures for one in did if one)
+
+
+def test_an_arm_that_has_nothing_to_do_is_waited_for_by_nobody(tmp_path: Path) -> None:
+    old, new = (
+        Assembly(tuple(box_block(n, (x, 0, z), (x + 0.1, 0.05, z + 0.05)) for n, x, z in places))
+        for places in ((("a", 0, 0), ("b", 0, 0.05)), (("a", 0, 0),))
+    )
+    done = build(new, old=old, arm=("panda", "ur5e"))
+    assert done.complete, done.reason
+    (idle,) = (n for n, arm in enumerate(done.arms) if arm.did and not arm.did.attempts)
+    did = done.arms[idle].did
+    assert did is not None
+    assert did.error_worst is None
+    done.save(tmp_path, page=False)
+    for name in (f"trajectory-{2 - idle}.json", ""):
+        out = tmp_path / f"{name or 'both'}.csv"
+        told = export_program(tmp_path / name, "csv" if name else "ros2", out)
+        assert told.waits is None
+    with pytest.raises(InputError, match="no motion"):
+        export_program(tmp_path / f"trajectory-{1 + idle}.json", "csv", tmp_path / "idle.csv")
 
 
 def test_an_arm_keeps_every_state_standing_in_its_own_order() -> None:

@@ -20,9 +20,19 @@ from learn2assemble.cell.workcell import Job, Workcell
 from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
-from learn2assemble.jobs.driven import IN_HAND
+from learn2assemble.jobs.driven import IN_HAND, Timed
 from learn2assemble.jobs.run import Ran, run
-from learn2assemble.motion.plant import BlockReading, Request, Stop, ToolCommand, standing
+from learn2assemble.motion.plant import (
+    BlockReading,
+    Commands,
+    Guards,
+    Motion,
+    Report,
+    Request,
+    Stop,
+    ToolCommand,
+    standing,
+)
 from learn2assemble.motion.safety import Box, Safety
 from learn2assemble.motion.setup import Noise, Setup, Surroundings, open_plant
 from learn2assemble.planning.plan import Plan
@@ -358,6 +368,27 @@ def test_slower_as_asked(cell: Cell) -> None:
 # ---------------------------------------------------------------- input
 
 
+def test_motions_are_timed_beside_the_speed_that_was_asked_for() -> None:
+    plan, _ = wall(4, 1, 1)
+    ran = run(plan, speed=0.5)
+    assert ran.complete, ran.reason
+    assert abs(ran.link.overhead) < 1e-3
+    assert ran.seconds >= ran.link.moving > 0
+
+
+def test_an_arm_that_only_stands_makes_no_motion() -> None:
+    class Plays:
+        def execute(self, motion: Motion, commands: Commands, guards: Guards) -> Report:
+            return Report(Stop.END, 0.0, motion.joints[-1], motion.seconds)
+
+    plant: Any = Plays()
+    timed = Timed(plant)
+    timed.execute(standing("home", np.zeros(6), 1.0))
+    assert timed.link(plant).motions == 0
+    timed.execute(standing("release", np.zeros(6), 1.0), (ToolCommand(vacuum=False),))
+    assert timed.link(plant).motions == 1
+
+
 def test_plans_that_no_arm_can_carry_out_are_refused(tmp_path: Path) -> None:
     plan, _ = wall(6, 3, 2)
     with pytest.raises(InputError, match="a complete plan of an arm"):
@@ -368,6 +399,9 @@ def test_plans_that_no_arm_can_carry_out_are_refused(tmp_path: Path) -> None:
         run(plan, speed=0.0)
     with pytest.raises(InputError, match="sim://"):
         run(plan, "localhost")
+    nobody: Any = 5
+    with pytest.raises(InputError, match="or a plant"):
+        run(plan, nobody)
     with pytest.raises(InputError, match="got 'sim://foo', expected sim:// alone"):
         run(plan, "sim://foo")
     with pytest.raises(InputError, match="did you mean 'ur'"):

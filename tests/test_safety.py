@@ -208,7 +208,7 @@ def test_rules_that_an_arm_breaks_where_it_waits_are_refused_before_it_moves(
     assert not any(line.startswith("starting") for line in told)
 
 
-@pytest.mark.parametrize("speed", [0.0, 1.01, -1.0, float("nan")])
+@pytest.mark.parametrize("speed", [0.0, 1.01, -1.0, 1e-9, float("nan")])
 def test_a_speed_that_is_no_share_is_refused(speed: float) -> None:
     with pytest.raises(InputError, match="speed"):
         Guarded(Told(), ARM, Safety(), speed)
@@ -241,6 +241,7 @@ def test_rules_are_read() -> None:
         {"box": "large"},
         {"box": [[0, 0, 0], [1, 1, float("inf")]]},
         {"speed": 0},
+        {"speed": 1e-7},
         {"speed": "fast"},
         {"force": 1e9},
         {"keep_out": {}},

@@ -42,6 +42,7 @@ from learn2assemble.robot.sweeps import clear, sweep
 from learn2assemble.simulation.clock import SharedClock
 from learn2assemble.simulation.plant import DynamicPlant
 from learn2assemble.statics.states import State
+from learn2assemble.viewer.page import write_plan_page
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "structures"
 ARMS = (SiteArm("one", "panda"), SiteArm("two", "ur5e"))
@@ -246,6 +247,13 @@ def test_arms_stand_on_opposite_sides_and_reach_everything() -> None:
 @pytest.fixture(scope="module")
 def plan() -> l2a.Plan:
     return l2a.build(balanced(), arm=("panda", "panda"), physics="kinematic", supports="none")
+
+
+def test_the_page_of_a_plan_says_which_arm_is_to_do_what(plan: l2a.Plan, tmp_path: Path) -> None:
+    write_plan_page(plan, tmp_path / "view.html")
+    text = (tmp_path / "view.html").read_text(encoding="utf-8")
+    for arm in ("panda-1", "panda-2"):
+        assert text.count(f"By {arm}.") >= sum(step.arm == arm for step in plan.steps)
 
 
 def test_one_arm_holds_while_the_other_one_places(plan: l2a.Plan) -> None:

@@ -403,6 +403,15 @@ def test_a_magazine_that_runs_empty_pauses_the_build(
     assert whole.arm.attempts == len(window.steps)
 
 
+def test_less_force_than_a_block_at_rest_presses_with_ends_a_build() -> None:
+    plan = planned(np.ones((4, 1, 1), bool))
+    site = Site(safety=Safety(force=0.2))
+    done = carry_out(plan, Workcell("panda", site=site), joint=1e-4)
+    assert done.status == "incomplete"
+    assert done.reason is not None
+    assert "touches" in done.reason
+
+
 def test_a_build_keeps_the_rules_of_its_layout(tmp_path: Path) -> None:
     plan = planned(np.ones((2, 1, 1), bool), dataclasses.replace(KIT, kinds=(KIT.kind("1x2"),)))
     low = Site(safety=Safety(box=Box((-2.0, -2.0, 0.3), (2.0, 2.0, 2.0))))
@@ -452,6 +461,16 @@ def test_a_build_keeps_the_rules_of_its_layout(tmp_path: Path) -> None:
                 "magazines": [{"kind": "1x4", "at": [0, -0.25]}],
             },
             "obstacles",
+        ),
+        (
+            {
+                "magazines": [
+                    {"kind": "1x4", "at": [0.2, -0.3]},
+                    {"kind": "1x4", "at": [0.22, -0.3]},
+                ]
+            },
+            "magazines[1]: got [0.22, -0.3, 0.0], expected a place that does not overlap "
+            "magazines[0]",
         ),
         ({"obstacles": [{"at": [0, 0], "size": [0, 0.1, 0.1]}]}, "positive"),
         (

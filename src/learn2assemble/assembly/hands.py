@@ -87,8 +87,8 @@ class Hand:
         table = (rows / size[:, None]).round(_DIGITS) + 0.0
         found = [tuple(row) for row in table.tolist()]
         bounds = (np.asarray(most) / size).round(_DIGITS)
-        if len(point) != 3:
-            raise InputError("hand: point", list(point), "three numbers")
+        if np.shape(point) != (3,) or not np.isfinite(point).all():
+            raise InputError("hand: point", point, "three finite numbers")
         x, y, z = (float(v) for v in point)
         return cls((x, y, z), tuple(found), tuple(bounds.tolist()), name)  # pyright: ignore[reportArgumentType]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -271,7 +272,7 @@ class Attempts:
             run.leave()
             check_rest(run.order, senses.look(), 0.0, run.landed, ShiftRule())
         except Failure as found:
-            failure = abandon(run, found, True)
+            failure = _abandoned(run, found)
         if run.holding:
             self._open(run)
         came = Came(Outcome.REACHED, "", "", run.joints, motion_of(run, arm.gripper.max_width))
@@ -338,9 +339,11 @@ class Attempts:
         told = ToolCommand(vacuum=False)
         if self.job.arm.suction is None:
             told = ToolCommand(width=gripper.max_width, speed=gripper.speed)
-        run.wait(OPENING_TIME, "release", BLIND, (told,))
+        with suppress(Failure):  # It opens, however hard the tool is pressed meanwhile.
+            run.wait(OPENING_TIME, "release", BLIND, (told,))
         self.sight.dropped()
-        run.wait(REST, "release", BLIND)
+        with suppress(Failure):
+            run.wait(REST, "release", BLIND)
 
     def _course(
         self, order: Order, joints: np.ndarray, following: np.ndarray | None
@@ -352,6 +355,16 @@ class Attempts:
             near = self.near
             return prepare(self.job.arm, world, order, joints, True, following, near), world
         return straight(self, order, joints), None
+
+
+def _abandoned(run: Execution, failure: Failure) -> Failure:
+    """An attempt that failed and was ended, also where a rule of safety stops the arm as it stands:
+    it is pressed with more force than the rule allows, wherever it goes."""
+    try:
+        return abandon(run, failure, True)
+    except Failure as second:
+        detail = f"{failure.detail}; then {second.stage}: {second.detail}"
+        return Failure(failure.outcome, failure.stage, detail)
 
 
 OUT_STEP = 0.05

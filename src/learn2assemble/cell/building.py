@@ -49,7 +49,9 @@ if TYPE_CHECKING:
 
 PLACING = ("place", "again", "attach")
 """Actions after which a block is in its place."""
-ASIDE = ("away", "attach")
+ATTACH = "attach"
+"""What was built beside is brought."""
+ASIDE = ("away", ATTACH)
 """Actions that are no step of a plan."""
 GONE = 0.02
 """A block farther from its place than this is not in its place any more [m]."""

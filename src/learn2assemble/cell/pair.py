@@ -36,7 +36,7 @@ from learn2assemble.errors import InputError, listed
 from learn2assemble.motion.plant import Plant
 from learn2assemble.motion.safety import check_home, guarded
 from learn2assemble.planning.brick_plan import plan_for_arm, with_hands
-from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.plan import Plan, Step
 from learn2assemble.progress import silent
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematic import KinematicCell
@@ -256,6 +256,34 @@ def bricks_by_team(
     advice = _with_another_tool(plan, members, workcell, progress) or with_hands(assembly)
     reason = f"neither arm can place {listed(blocks)}: {reason}"
     return none_placed(plan, f"{reason}; {advice}" if advice else reason), ()
+
+
+def shared_by_team(
+    plan: Plan, members: Sequence[Member], workcell: Workcell, order: Sequence[StepOf]
+) -> Plan:
+    """The plan of bricks with who brings which, in turns where both can, and with what shows that
+    it stands; nothing is carried out.
+
+    Args:
+        plan: complete.
+        members: the arms, of :func:`~.team.set_up_team`.
+        workcell: how they build.
+        order: as :func:`bricks_by_team` has found it.
+
+    Raises:
+        InputError: for a brick that neither can bring.
+    """
+    pair = gather(plan, members, workcell, 0.0, order)
+    can = [{step.block for step in one.order.steps if not step.group} for one in pair.found]
+    made, standing, turn = list[Step](), set[int](), 0
+    for step in plan.steps:
+        standing.add(step.block)
+        who = turn if step.block in can[turn] else 1 - turn
+        shown = pair.found[0].structure.proof(frozenset(standing))
+        proven = step if shown is None else step.with_proof(*shown)
+        made.append(replace(proven, arm=pair.names[who]))
+        turn = 1 - who
+    return replace(plan, steps=tuple(made))
 
 
 def _arranged(

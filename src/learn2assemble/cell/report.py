@@ -6,7 +6,7 @@ build is over; whoever decides has seen none of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import chain
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learn2assemble.assembly.blocks import AssemblyStep
-from learn2assemble.cell.building import ASIDE, Building
+from learn2assemble.cell.building import ASIDE, ATTACH, Building
 from learn2assemble.cell.pieces import PROP_ROOM, planed_props
 from learn2assemble.cell.state import Done
 from learn2assemble.cell.workcell import Job, StepOf, Workcell
@@ -86,7 +86,7 @@ def arm_report(
     satisfied = sum(
         building.known.satisfied(step)
         for step in building.known.planned
-        if step not in building.known.by_hand and step.plain not in others
+        if step not in building.known.by_hand and (step if step.group else step.plain) not in others
     )
     told = plant if workcell.strays else None  # Else nothing can be off, which tells nothing.
     measured = measure(building, told, {step.block for step in others})
@@ -253,8 +253,9 @@ def carried_out(
         for number, (who, d) in enumerate(attempted)
         if d.outcome == Outcome.REACHED.label and d.what not in ASIDE
     }
-    orders = chain.from_iterable(one.building.known.planned for one in arms)
-    order = [step for step in dict.fromkeys(orders) if not step.group]
+    every = dict.fromkeys(chain.from_iterable(one.building.known.planned for one in arms))
+    order = [step for step in every if not step.group]
+    brought = _brought(every, attempted)
     apart = {step.block for step in order if step.beside is not None}
     done = [step.plain for step in order if building.known.satisfied(step)]
     moved = [s for s in plan.steps if s.action in ("place", "remove")]
@@ -266,7 +267,13 @@ def carried_out(
         # What was done though its attempt failed in something else was done in that one.
         ended = {d.step: n for n, (_, d) in enumerate(attempted) if d.what not in ASIDE}
         ended |= {step: one[0] for step, one in last.items()}
-        done.sort(key=lambda step: ended.get(step, -1))
+        came = {k: when for step, (when, _) in brought.items() for k in (step.block, *step.group)}
+
+        def when(step: StepOf) -> tuple[int, int]:
+            itself = ended.get(step, -1)
+            return max(came.get(step.block, -1), itself), itself
+
+        done.sort(key=when)
     # What is only listed, not proven, has to be: of bricks an arm finds the order.
     same = done == list(proven) and all(step.proof for step in moved)
     standing = set(job.there)
@@ -336,13 +343,15 @@ def carried_out(
         last[StepOf(k)][1] if StepOf(k) in last else arms[0] for k in range(len(job.pieces))
     ]
     waiting = tuple(_waiting(one.building, k) for k, one in enumerate(taken_by))
+    by_whom = {step: by for step, (_, by, _) in last.items()}
+    by_whom |= {step: arms[who] for step, (_, who) in brought.items()}
     reports = [
         arm_report(
             one.building.job,
             one.workcell,
             one.building,
-            plant,
-            frozenset(step for step, (_, by, _) in last.items() if by is not one),
+            plant if len(arms) == 1 or any(by is one for by in by_whom.values()) else None,
+            frozenset(step for step, by in by_whom.items() if by is not one),
         )
         for one in arms
     ]
@@ -363,6 +372,23 @@ def carried_out(
         assembly=assembly,
         **ranges,
     )
+
+
+def _brought(
+    steps: Iterable[StepOf], attempted: Sequence[Attempted]
+) -> dict[StepOf, tuple[int, int]]:
+    """Of pieces that were built beside: which attempt has brought them at last, and which arm.
+
+    Args:
+        steps: of all arms, in an order in which what is brought to a larger piece comes before it.
+    """
+    found = {
+        done.block: (number, who)
+        for number, (who, done) in enumerate(attempted)
+        if done.what == ATTACH and done.outcome == Outcome.REACHED.label
+    }
+    each = sorted(steps, key=lambda step: found.get(step.block, (-1, 0)))
+    return {step: found[step.block] for step in each if step.group and step.block in found}
 
 
 def _covered_first(job: Job) -> float:

@@ -476,11 +476,11 @@ def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[
             raise InputError(where, at, f"a place on the table ({width:g} x {depth:g} m)")
         if face.intersection(structure).area > 1e-9:
             raise InputError(where, at, "a place outside the building site")
+        name = where.split(": ")[-1]  # A magazine presents blocks of several shapes.
         for what, area in blocked:
-            if face.intersection(area).area > 1e-9:
+            if (what != name or not source.magazine) and face.intersection(area).area > 1e-9:
                 raise InputError(where, at, f"a place that does not overlap {what}")
-        if not source.magazine:
-            blocked.append((where.split(": ")[-1], face))
+        blocked.append((name, face))
 
 
 def outline(obstacle: Obstacle) -> Any:

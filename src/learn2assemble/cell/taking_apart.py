@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from learn2assemble.assembly.blocks import AssemblyStep
 from learn2assemble.assembly.bricks.lattice import GROUND
 from learn2assemble.cell.arrange import Arranged, Hands, try_step, where_pressed
 from learn2assemble.cell.bricks import BrickStates, BrickStructure
@@ -112,9 +113,12 @@ def arrange_bricks(
 
 
 def plan_in_order(plan: Plan, steps: tuple[StepOf, ...]) -> Plan:
-    """The plan of bricks in the order in which an arm brings them."""
+    """The plan of bricks in the order in which an arm brings them: what is built beside comes when
+    all of it is brought."""
+    assert plan.assembly is not None
     old = {step.block: step for step in plan.steps}
-    order = [step for step in steps if not step.group]
+    came = {k: n for n, step in enumerate(steps) for k in (step.block, *step.group)}
+    order = sorted((step for step in steps if not step.group), key=lambda step: came[step.block])
     made = tuple(
         replace(
             old[step.block],
@@ -124,7 +128,9 @@ def plan_in_order(plan: Plan, steps: tuple[StepOf, ...]) -> Plan:
         )
         for number, step in enumerate(order, 1)
     )
-    return replace(plan, steps=made)
+    ids = [block.id for block in plan.assembly.blocks]
+    told = [AssemblyStep(place=ids[s.block], way="beside" if s.beside else None) for s in order]
+    return replace(plan, steps=made, assembly=replace(plan.assembly, steps=tuple(told)))
 
 
 def _order_in_a_level(low: np.ndarray, bases: Sequence[np.ndarray]) -> np.ndarray:

@@ -162,10 +162,10 @@ def _build(options: argparse.Namespace, output: Output) -> int:
 
     task = is_task(options.design)
     arms = arms_that_build(options.design, options.arm, options.physics)
-    if options.video and not arms:
-        raise InputError(
-            "--video", "no arm", "an arm that carries the plan out, whose motion it is"
-        )
+    still = not task and options.physics == "kinematic"
+    if options.video and (still or not arms):
+        got = "a cell in which nothing moves" if options.arm and still else "no arm"
+        raise InputError("--video", got, "an arm that carries the plan out, whose motion it is")
     video = options.video is not False and arms > 0
     state = options.out / STATE if arms and not task else None
     if options.resume and (state is None or not state.exists()):

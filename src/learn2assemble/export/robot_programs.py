@@ -158,6 +158,10 @@ def export_program(
     records = _records_of(source if both is None else both)
     if not all(isinstance(one, BuildRecord) for one in records) or len(records) not in (1, 2):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InputError("source", source, "a BuildRecord (of a plan its .record), or a folder")
+    moved = [one for one in records if any(len(step.samples.time) for step in one.steps)]
+    if len(records) == 2 and len(moved) == 1 and (both is not None or moved[0] is records[0]):
+        # The other arm had nothing to do: nobody waits for it.
+        records, both = (moved[0],), None
     arms = [arm_of(record.arm) for record in records]
     made = [make_program(*one) for one in zip(records, arms, strict=True)]
     if len(made) == 2:

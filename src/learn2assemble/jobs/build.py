@@ -230,8 +230,11 @@ def build(
     if how is not None:
         check_laid(found, kit, gap)
         how = how.read(found, kit)
-        if holds and not how.several and studs_of(found, kit):
-            raise InputError("holds", holds, "none with one arm, which has one hand")
+        if how.several and isinstance(found, CellDesign):
+            own = kit_of(found, kit)
+            if own.joint.law not in ("dry", "clutch"):
+                raise InputError("kit", own.name, "dry blocks or bricks: arms lay no mortar")
+        _check_helped(how, studs_of(found, kit), holds, hands)
     if how is not None and how.several and standing is None:
         return _with_friction(team_plan(found, kit, how, help_, choice, given), friction)
     # Where a structure stands, an arm carries out what is found from the plans of both.
@@ -384,6 +387,29 @@ def _with_friction(plan: Plan, asked: Bounds) -> Plan:
         return plan
     least = value_range(asked, plan.assembly.friction, "friction")[0]
     return replace(plan, margin_friction=round(least, 6))
+
+
+def _check_helped(how: ArmChoice, studs: float, holds: int, hands: bool) -> None:
+    """Refuse what arms have no use for.
+
+    Args:
+        studs: of the blocks, how far apart they are [m]; 0: they have none.
+        holds, hands: as of :func:`build`.
+    """
+    if not how.several:
+        if holds and studs:
+            raise InputError("holds", holds, "none with one arm, which has one hand")
+        return
+    if how.physics == PLANNED and any(how.noise):
+        expected = f"none: with physics {PLANNED!r} two arms are planned for, and nothing is read"
+        raise InputError("noise", how.noise, expected)
+    if holds and studs:
+        raise InputError("holds", holds, "none of bricks, with two arms: neither holds any")
+    if holds > 1:
+        expected = "0 or 1 with two arms: one holds while the other one brings a block"
+        raise InputError("holds", holds, expected)
+    if hands and not studs:
+        raise InputError("hands", hands, "bricks that clutch (a kit such as lego)")
 
 
 def _refuse(given: Mapping[str, Any], expected: str) -> None:

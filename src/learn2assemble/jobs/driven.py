@@ -60,9 +60,9 @@ class Timed(WrappedPlant):
     def __init__(self, plant: Plant) -> None:
         super().__init__(plant)
         self.motions: int = 0
-        """That were carried out to their ends."""
+        """That were carried out to their ends; where an arm only stands, there is none."""
         self.moving: float = 0.0
-        """What these were to take [s], ..."""
+        """What these were to take, at the speed that was asked for [s], ..."""
         self.took: float = 0.0
         """... and what they took [s of the plant's clock]."""
         self.looks: int = 0
@@ -83,7 +83,8 @@ class Timed(WrappedPlant):
     def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
         """See :class:`~learn2assemble.motion.plant.Plant`."""
         report = self.plant.execute(motion, commands, guards)
-        if report.stop is Stop.END and motion.seconds:
+        stands = not commands and not np.ptp(motion.joints, 0).any()
+        if report.stop is Stop.END and motion.seconds and not stands:
             self.motions += 1
             self.moving += motion.seconds
             self.took += report.seconds

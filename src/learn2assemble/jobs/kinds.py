@@ -351,7 +351,7 @@ def team_plan(
         InputError: for goals and mortar, and for arms that cannot build it together.
     """
     from learn2assemble.cell.in_turn import build_by_two
-    from learn2assemble.cell.pair import bricks_by_team
+    from learn2assemble.cell.pair import bricks_by_team, shared_by_team
     from learn2assemble.cell.team import plan_by_team
 
     if isinstance(design, Goals):
@@ -367,6 +367,8 @@ def team_plan(
             plan, order = bricks_by_team(assembly, members, cell, progress)
         else:
             plan = plan_by_team(assembly, members, posts=posts, options=options, progress=progress)
+        if how.physics == PLANNED and plan.complete and order is not None:
+            return shared_by_team(plan, members, cell, order)
         if how.physics == PLANNED or not plan.complete:
             return plan
         return build_by_two(plan, members, cell, joint=joint, progress=progress, order=order)

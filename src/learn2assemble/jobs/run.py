@@ -39,7 +39,7 @@ from learn2assemble.jobs.driven import Link, Timed, check_robot, take_away
 from learn2assemble.motion.plant import Plant, PlantError, Stop
 from learn2assemble.motion.remote import RemotePlant, in_process
 from learn2assemble.motion.robots import Robots
-from learn2assemble.motion.safety import Guarded
+from learn2assemble.motion.safety import Guarded, check_share
 from learn2assemble.motion.setup import WALL, Setup, Surroundings, check_address, open_plant
 from learn2assemble.motion.trust import Placements, Trusted
 from learn2assemble.planning.plan import Plan, load_plan
@@ -129,7 +129,7 @@ def run(
             bases of the plan. Its sections ``program`` and ``safety`` hold for the robots.
         state: file that is appended to after every attempt; where it exists, the run goes on from
             it, and from what is sensed.
-        speed: share of the planned speed, above 0 and up to 1.
+        speed: share of the planned speed, 0.001 to 1.
         confirm: asked before every attempt, with the number of steps that are done or under way
             and with what comes next in words; where it says no, the run pauses.
         around: what sees blocks, what serves the cell, and how long silence may last. With two
@@ -145,14 +145,15 @@ def run(
     for one in robots:
         if isinstance(one, str):
             check_address(one)
+        elif not callable(getattr(one, "execute", None)):
+            raise InputError("robot", one, "an address, as sim:// or ur://HOST, or a plant")
     if not isinstance(plan, Plan):
         plan = load_plan(plan)
     count = len(plan.arms) or int(plan.arm is not None)
     if not count or plan.assembly is None or not plan.complete:
         got = f"{plan.status}, {count or 'no'} arm{'s' * (count != 1)}"
         raise InputError("plan", got, "a complete plan of an arm, or of two (`arm=`)")
-    if not 0 < speed <= 1:
-        raise InputError("speed", speed, "a share, above 0 and at most 1")
+    check_share(speed)
     if len(robots) != count and robots != [SIMULATION]:
         arms = ", ".join(one.name for one in plan.arms) or "one arm"
         several = f"{len(robots)} robot{'s' * (len(robots) != 1)}"
@@ -217,13 +218,14 @@ def _by_one(
         seeing: Plant = Trusted(plant, setup)
     else:
         seeing = through_cameras(plant, setup, job.pieces, workcell.site.cameras)
-    timed = Timed(Guarded(seeing, job.arm, workcell.site.safety, order.speed))
-    check_robot(timed, setup, bool(workcell.log and workcell.log.exists()))
+    timed = Timed(seeing)
+    driven = Guarded(timed, job.arm, workcell.site.safety, order.speed)
+    check_robot(driven, setup, bool(workcell.log and workcell.log.exists()))
     words, witness, key = words_of(job, workcell), Witness(plant), key_of(order.plan, workcell)
-    building = Building(found, workcell, timed, words, key, Kept.of(seeing), witness)
+    building = Building(found, workcell, driven, words, key, Kept.of(seeing), witness)
     known = building.known
     if setup.around.trust_placements:
-        take_away(timed, setup, building)
+        take_away(driven, setup, building)
 
     def satisfied() -> int:
         return sum(known.satisfied(step) for step in known.planned)
@@ -357,7 +359,7 @@ class _CellOfTwo:
             self.cell = Robots(plants, around, self.known)
         resumed = bool(self.order.file and self.order.file.exists())
         for who, plant in enumerate(self.cell.plants):
-            stack, own, name = self._stack(who, plant), self.setups[who], self.names[who]
+            (_, stack), own, name = self._stack(who, plant), self.setups[who], self.names[who]
             self._told(who, check_robot, stack, own, resumed, name)
         return self.cell
 
@@ -370,14 +372,16 @@ class _CellOfTwo:
 
     def through(self, who: int, plant: Plant) -> Plant:
         """See :class:`~learn2assemble.cell.together.Together`."""
-        self.driven.append(self._stack(who, plant))
-        return self.driven[who]
+        timed, driven = self._stack(who, plant)
+        self.driven.append(timed)
+        return driven
 
-    def _stack(self, who: int, plant: Plant) -> Timed:
-        """What an arm is driven through."""
+    def _stack(self, who: int, plant: Plant) -> tuple[Timed, Plant]:
+        """What tells how a robot does what it is told, and through what its arm is driven."""
         own = self.setups[who]
         seeing = plant if self.known is None else Trusted(plant, own, self.known)
-        return Timed(Guarded(seeing, own.arm, self.order.site.safety, self.order.speed))
+        timed = Timed(seeing)
+        return timed, Guarded(timed, own.arm, self.order.site.safety, self.order.speed)
 
     def _open(self, who: int) -> Plant:
         """The plant of a robot; behind an address in a process of its own, so that it is watched

@@ -26,6 +26,7 @@ from learn2assemble.motion.plant import (
     WrappedPlant,
     between,
 )
+from learn2assemble.motion.settings import SLOWEST_SHARE
 from learn2assemble.robot.arm import Arm, arm_spec
 from learn2assemble.robot.kinematics import Chain, forward_many, get_chain
 from learn2assemble.values import check_keys, mapping, number, rounded, sequence
@@ -37,6 +38,8 @@ RULES = "the layout's safety."
 KEYS = ("box", "speed", "force", "keep_out")
 FAST, STRONG, FAR = 10.0, 1000.0, 100.0
 """Largest limits that make sense [m/s], [N]; no corner is farther from the origin [m]."""
+CRAWL = 0.001
+"""Smallest limit of the speed that makes sense [m/s]: slower motions have samples without end."""
 SHORTEST = 5e-4
 """A rule that cannot be shown to hold over so short a time counts as broken [s]."""
 GRID = 2e-3
@@ -85,18 +88,25 @@ def parse_safety(value: Any, where: str) -> Safety:
         boxes = [_box(one, f"{where}.keep_out[{k}]") for k, one in enumerate(listed)]
     return Safety(
         _box(given["box"], f"{where}.box") if "box" in given else None,
-        _limit(given, "speed", FAST, where),
-        _limit(given, "force", STRONG, where),
+        _limit(given, "speed", CRAWL, FAST, where),
+        _limit(given, "force", 0.0, STRONG, where),
         tuple(boxes),
     )
 
 
-def _limit(given: Any, key: str, most: float, where: str) -> float | None:
+def check_share(speed: float) -> None:
+    """Refuse what is no share of the planned speed that a motion can be slowed down to."""
+    if not SLOWEST_SHARE <= number(speed, "speed") <= 1:
+        raise InputError("speed", speed, f"a share, {SLOWEST_SHARE:g} to 1")
+
+
+def _limit(given: Any, key: str, least: float, most: float, where: str) -> float | None:
     if key not in given:
         return None
     found = number(given[key], f"{where}.{key}")
-    if not 0 < found <= most:
-        raise InputError(f"{where}.{key}", found, f"above 0, up to {most:g}")
+    if not 0 < found <= most or found < least:
+        expected = f"{least:g} to {most:g}" if least else f"above 0, up to {most:g}"
+        raise InputError(f"{where}.{key}", found, expected)
     return found
 
 
@@ -292,15 +302,14 @@ class Guarded(WrappedPlant):
         plant: the one behind it.
         arm: with its tool, where it stands.
         safety: the rules.
-        speed: share of the planned speed that is used, above 0 and up to 1.
+        speed: share of the planned speed that is used, 0.001 to 1.
 
     Raises:
         InputError: for another speed.
     """
 
     def __init__(self, plant: Plant, arm: Arm, safety: Safety, speed: float = 1.0) -> None:
-        if not 0 < speed <= 1:
-            raise InputError("speed", speed, "a share, above 0 and at most 1")
+        check_share(speed)
         super().__init__(plant)
         self.rules: SafetyRules = SafetyRules(arm, safety)
         self.safety = safety

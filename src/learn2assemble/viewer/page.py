@@ -347,11 +347,14 @@ def write_plan_page(plan: Plan, path: Path) -> None:
         return
     targets = plan.design.targets
     leaning = any(has_leaning_face(block) for block in plan.assembly.blocks)
+    # Where arms have built, attempts say whose they are.
+    by = ["" if plan.records else step.arm or "" for step in plan.steps]
+    told = zip(plan.steps, by, strict=True)
     text = render_assembly_page(
         plan.assembly,
         title=plan.design.name,
         facts=_facts(plan),
-        step_notes=[_note(step, targets, leaning) for step in plan.steps],
+        step_notes=[_note(step, targets, leaning, arm) for step, arm in told],
         verdict=Verdict(_status(plan), as_both(plan.reason or "")),
         plan=plan,
     )
@@ -461,8 +464,9 @@ def _page_of_nothing(plan: Plan) -> str:
     return stand_alone(page, data, _SCRIPTS, (_SHOW,))
 
 
-def _note(step: Step, targets: Sequence[PlanTarget], leaning: bool) -> StepNote:
-    """What is said about a step of a plan; ``leaning``: not all its joints are level or upright."""
+def _note(step: Step, targets: Sequence[PlanTarget], leaning: bool, arm: str) -> StepNote:
+    """What is said about a step of a plan; ``leaning``: not all its joints are level or upright;
+    ``arm``: which one is to do it."""
     where = placement(step)
     sides = []
     if len(targets) > 1:
@@ -472,6 +476,7 @@ def _note(step: Step, targets: Sequence[PlanTarget], leaning: bool) -> StepNote:
         "" if step.margin_n is None else f"A contact point can pull {newtons(step.margin_n)} N more"
     )
     told = [spare, where[:1].upper() + where[1:] if where else "", ", ".join(sides)]
+    told.append(f"By {arm}" if arm else "")
     more = "; ".join(part for part in told if part)
     return StepNote(
         proof_words(step.proof or "", leaning), step.margin_g, step.coverage, more and f"{more}."
