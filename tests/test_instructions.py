@@ -49,6 +49,21 @@ def test_the_printed_numbers_are_enough(name: str, document: str) -> None:
     assert largest_error(assembly, PRINTED[document](assembly)) <= ALLOWED
 
 
+def test_layers_are_numbered_alike_on_cards_and_page() -> None:
+    """What stands from the start has layers, too; what only goes has none."""
+    pier = box_block("pier", (0, 0, 0), (0.1, 0.2, 1.0), support=True)
+    old = box_block("old", (0, 0, 1.0), (0.2, 0.2, 1.1))
+    new = box_block("new", (0, 0, 1.1), (0.2, 0.2, 1.2))
+    gone = box_block("gone", (0, 0, 1.2), (0.2, 0.2, 1.3))
+    steps = (AssemblyStep(remove="gone"), AssemblyStep(place="new"))
+    assembly = Assembly((pier, old, new, gone), steps)
+    told = instructions(assembly)
+    assert [told.layers, told.groups[-1].layer] == [3, 3]
+    for text in (step_cards(assembly), render_assembly_page(assembly, title="pier")):
+        assert "Layer 3 of 3, from 1100 mm" in text
+    assert "3 layers, told on" in step_cards(assembly)
+
+
 def test_the_house_is_large_has_props_and_colours() -> None:
     made = STRUCTURES["house"]()
     placed = [made.block(step.place) for step in made.steps if step.place]

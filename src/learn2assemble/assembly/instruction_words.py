@@ -244,7 +244,7 @@ def facts(told: Instructions) -> tuple[str, ...]:
     blocks = sum(not (b.prop or b.support) for b in told.assembly.finished.blocks)
     found = [
         f"{count_words(blocks, 'block')} in {count_words(len(placements), 'step')} and "
-        f"{count_words(len({group.layer for group in told.groups}), 'layer')}, told on "
+        f"{count_words(told.layers, 'layer')}, told on "
         f"{count_words(len(told.groups), 'card')}",
         f"{extent_words(told.extent)} mm when the last step is done",
     ]

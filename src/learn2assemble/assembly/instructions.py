@@ -127,6 +127,8 @@ class Instructions:
     start: tuple[Placement, ...]
     """What stands from the start."""
     groups: tuple[Group, ...]
+    layers: int
+    """How many there are, of what stands from the start, too."""
 
     @property
     def askew(self) -> bool:
@@ -186,6 +188,12 @@ def instructions(assembly: Assembly) -> Instructions:
     steps = steps or [(k, "place") for k, b in enumerate(assembly.blocks) if not b.support]
     told = assembly.at_first if assembly.steps else [b.support for b in assembly.blocks]
     placements = [_placement(assembly, shapes, k, n, a) for n, (k, a) in enumerate(steps, 1)]
+    heights = np.array([block.vertices[:, 2].min() for block in assembly.blocks]) - origin[2]
+    # What only goes has no layer of its own.
+    gone = {k for k, action in steps if action == "remove"}
+    there = {k for k, action in steps if action == "place"}
+    there |= {k for k, first in enumerate(told) if first and k not in gone}
+    layers = _layers(heights[sorted(there or gone)])
     return Instructions(
         assembly,
         origin,
@@ -193,7 +201,8 @@ def instructions(assembly: Assembly) -> Instructions:
         joint,
         tuple(shapes.found),
         tuple(_placement(assembly, shapes, k, 0, "place") for k, there in enumerate(told) if there),
-        tuple(_groups(assembly, placements, origin[2])),
+        tuple(_groups(assembly, placements, heights, layers)),
+        len(layers),
     )
 
 
@@ -224,15 +233,24 @@ def _placement(
     return replace(found, by_hand=bool(step.by_hand), way=step.way, wait=step.wait)
 
 
-def _groups(assembly: Assembly, placements: list[Placement], floor: float) -> list[Group]:
-    """What every card tells; ``floor`` is the height of O [m, world]."""
-    heights = np.array([block.vertices[:, 2].min() for block in assembly.blocks]) - floor
+def _layers(heights: np.ndarray) -> list[float]:
+    """Heights at which layers begin, from below [m over O]."""
     layers: list[float] = []
-    # What only goes has no layer of its own.
-    come = [p.block for p in placements if p.action == "place"]
-    for height in np.sort(heights[come or [p.block for p in placements]]).tolist():
+    for height in np.sort(heights).tolist():
         if not layers or height > layers[-1] + 1e-4:
             layers.append(height)
+    return layers
+
+
+def _groups(
+    assembly: Assembly, placements: list[Placement], heights: np.ndarray, layers: list[float]
+) -> list[Group]:
+    """What every card tells.
+
+    Args:
+        heights: float64[B], of all blocks over O [m].
+        layers: as of :func:`_layers`.
+    """
     found, seen, held = list[Group](), set[int](), frozenset[int]()
     for number, members in enumerate(_together(assembly, placements, heights), 1):
         for p in members:

@@ -150,10 +150,9 @@ def booklet(assembly: Assembly) -> Booklet:
     told = instructions(assembly)
     scene = DrawnScene(told)
     spacing = _spacing(told, scene.usual)
-    layers = len({group.layer for group in told.groups})
     until = {p.block: p.number for p in told.placements if p.action == "remove"}
     whole = _grid((0, 0), tuple(told.extent[:2]), 0.0, spacing, float(told.extent[2]))
-    common = _Common(told, scene, spacing, whole, layers, until, {})
+    common = _Common(told, scene, spacing, whole, told.layers, until, {})
     cards = list[Card]()
     for group, standing in zip(told.groups, scene.standing(), strict=True):
         cards.append(_card(common, group, standing))
