@@ -373,27 +373,47 @@ def test_the_fewest_posts_are_found_as_by_trying_all_sets() -> None:
     assert len(posts) >= 1
 
 
-@pytest.mark.parametrize("change", ["turn", "mirror", "unit", "order"])
-def test_what_is_said_does_not_depend_on_how_it_is_told(change: str) -> None:
-    assembly = script("arch").arch(7)
+@pytest.mark.parametrize("voussoirs", [7, 21])
+@pytest.mark.parametrize("change", ["turn", "mirror", "unit", "order", "far"])
+def test_what_is_said_does_not_depend_on_how_it_is_told(change: str, voussoirs: int) -> None:
+    """Nor how many posts there are: these go along the ground also where that is turned."""
+    assembly = script("arch").arch(voussoirs, radius=0.31, thickness=0.1)
     plain = plan_assembly(assembly)
     blocks = list(assembly.blocks)
     if change == "order":
-        blocks = [blocks[k] for k in (3, 0, 6, 2, 5, 1, 4)]
+        blocks = [blocks[2 * k % voussoirs] for k in range(voussoirs)]
     else:
         c, s = np.cos(0.7), np.sin(0.7)
         matrix = {
             "turn": np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]),
             "mirror": np.diag([-1.0, 1.0, 1.0]),
             "unit": np.eye(3) * 10,
+            "far": np.eye(3),
         }[change]
+        far = np.array([1000.0, 2000.0, 0.0]) if change == "far" else np.zeros(3)
         flip = change == "mirror"
         blocks = [
-            Block(b.id, b.vertices @ matrix.T, tuple(f[::-1] for f in b.faces) if flip else b.faces)
+            Block(
+                b.id,
+                b.vertices @ matrix.T + far,
+                tuple(f[::-1] for f in b.faces) if flip else b.faces,
+            )
             for b in blocks
         ]
     other = plan_assembly(Assembly(tuple(blocks), friction=assembly.friction))
     assert (other.status, len(other.steps)) == (plain.status, len(plain.steps))
+
+
+def test_blocks_may_have_one_place_one_after_the_other() -> None:
+    """As of a structure that was turned into another one; not at the same time."""
+    base = box_block("base", (0, 0, 0), (0.2, 0.2, 0.2))
+    old, new = (box_block(name, (0, 0, 0.2), (0.2, 0.2, 0.3)) for name in ("old", "new"))
+    out, back = AssemblyStep(remove="old"), AssemblyStep(place="new")
+    whole = Assembly((base, old, new), (out, back))
+    assert plan_assembly(whole).status == "complete"
+    for steps in ((), (back, out)):
+        with pytest.raises(InputError, match=r"'old' and 'new': got '100.0% overlap'"):
+            plan_assembly(replace(whole, steps=steps))
 
 
 def test_what_no_step_places_stands_from_the_start_or_is_not_built() -> None:

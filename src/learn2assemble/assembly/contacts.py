@@ -247,7 +247,8 @@ def check_overlaps(assembly: Assembly, tolerance: float | None = None) -> None:
     """Refuse blocks that share a volume, and blocks that cross themselves.
 
     Two blocks that a plane of a facet separates do not; what is left is intersected as solids.
-    The thickness of the intersection, twice its volume over its surface, is what counts.
+    The thickness of the intersection, twice its volume over its surface, is what counts. Blocks
+    that are never there at the same time may have one place.
 
     Args:
         assembly: the blocks where they stand.
@@ -277,10 +278,21 @@ def check_overlaps(assembly: Assembly, tolerance: float | None = None) -> None:
                 solids[k] = to_manifold(blocks[k])
         common = solids[i] ^ solids[j]
         surface = common.surface_area()
-        if 2 * common.volume() > (depth + warp[i] + warp[j]) * surface:
+        deep = 2 * common.volume() > (depth + warp[i] + warp[j]) * surface
+        if deep and _meet(assembly, i, j):
             names = f"{blocks[i].id!r} and {blocks[j].id!r}"
             share = common.volume() / min(blocks[i].volume, blocks[j].volume)
             raise InputError(f"blocks {names}", f"{share:.1%} overlap", "blocks that only touch")
+
+
+def _meet(assembly: Assembly, *pair: int) -> bool:
+    """Whether two blocks are there at the same time, before a step or after one."""
+    there = np.array(assembly.at_first)
+    met = not assembly.steps or bool(there[[*pair]].all())
+    for step in assembly.steps:
+        there[assembly.index(step.block)] = step.action != "remove"
+        met = met or bool(there[[*pair]].all())
+    return met
 
 
 def near_pairs(lower: np.ndarray, upper: np.ndarray, tolerance: float) -> np.ndarray:

@@ -183,6 +183,7 @@ class FreeWays:
         self._clearance = Clearance(blocks, depth)
         self._known: dict[tuple[int, bytes], bool] = {}
         self._slides: dict[tuple[int, bytes], bool] = {}
+        self._level: dict[int, np.ndarray] = {}
 
     def free(self, block: int, present: np.ndarray, sliding: bool = True) -> bool:
         """Whether a way of a block to or from its place is free among ``present`` (bool[B]).
@@ -214,7 +215,12 @@ class FreeWays:
                 self._known[key] = False
         if key not in self._known:
             normals, faces = self._pushing(block, present)
-            ways = LEVEL[(LEVEL @ normals.T > -_ALONG).all(1)] if self.props[block] else LEVEL[:0]
+            ways = LEVEL[:0]
+            if self.props[block]:
+                if block not in self._level:
+                    self._level[block] = level_edges(self._clearance.blocks[block])
+                ways = np.concatenate([LEVEL, self._level[block]])
+                ways = ways[(ways @ normals.T > -_ALONG).all(1)]
             if block < self.level:
                 # Where corners alone touch, a normal is one of many that could part them.
                 out = ways_out(normals)
@@ -269,6 +275,20 @@ def slides(block: Block, normals: np.ndarray) -> np.ndarray:
     ways = ways[(ways @ normals.T > -_ALONG).all(1)]
     _, first = np.unique(ways.round(9), axis=0, return_index=True)
     return ways[np.sort(first)][:_WAYS]
+
+
+def level_edges(block: Block) -> np.ndarray:
+    """float64[k, 3]: unit vectors along the level edges of a block, both ways, each once: the ways
+    along the ground that turn with it."""
+    along = _edges(block)
+    length = np.linalg.norm(along, axis=1)
+    unit = along[length > 0] / length[length > 0, None]
+    unit = unit[np.abs(unit[:, 2]) < _ALONG]
+    found = list[np.ndarray]()
+    for way in np.concatenate([unit, -unit]):
+        if all(way @ other < 1 - _ALONG for other in (*LEVEL, *found)):
+            found.append(way)
+    return np.array(found).reshape(-1, 3)
 
 
 def _part(block: Block) -> _ConvexSolid:

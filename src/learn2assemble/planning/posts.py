@@ -36,6 +36,8 @@ _LEAST = 0.02
 """Free part of a face that is looked at."""
 DOWN, _FLAT = -0.1, 0.999
 """A face looks down, or is a floor for a post, where its normal does so."""
+_LEVEL = 1e-6
+"""Horizontal part of the normal of a face up to which it has no slope."""
 _SHORTEST = 0.05
 """Of a post, in its width."""
 _DEPTH = 1e-3
@@ -138,7 +140,9 @@ class PostSite:
         axes = sides / length[:, None]
         size = float(np.sqrt(face.outline.area))
         height = float(face.foot[2] - (self.ground or 0.0))
-        steep = int(np.argmax(np.abs(axes @ face.normal[:2])))
+        slope = np.abs(axes @ face.normal[:2])
+        # Of a level face rounding must not choose: its longer side.
+        steep = int(np.argmax(slope if slope.max() > _LEVEL else length))
         found: list[Post] = []
         extents: list[np.ndarray] = []
         widths = [height / slender for slender in _SLENDER] + [share * size for share in _WIDTHS]
