@@ -404,6 +404,24 @@ def test_what_is_said_does_not_depend_on_how_it_is_told(change: str, voussoirs: 
     assert (other.status, len(other.steps)) == (plain.status, len(plain.steps))
 
 
+def test_margins_end_when_they_have_taken_as_long_as_the_search_may() -> None:
+    """Steps that are proven are kept without them."""
+    assembly = script("arch").arch(7)
+    seconds = iter(range(10_000))  # Every look at the clock takes one.
+    joints = find_contacts(assembly)
+    layers = contact_layers(assembly.blocks, joints, lambda: joints, 0.0)
+
+    def told(limit: float) -> list[float | None]:
+        clock = Clock(limit, lambda: float(next(seconds)))
+        law = site_of(OrderProblem(assembly, layers, (0.7,)), assembly, layers, clock).laws[-1]
+        whole = np.ones(len(assembly.blocks), bool)
+        assert law.stands(State(whole, ~whole))
+        return [law.report(State(whole, ~whole)).margin_g for _ in range(3)]
+
+    assert told(0.3) == [None] * 3
+    assert None not in told(1e6)
+
+
 def test_blocks_may_have_one_place_one_after_the_other() -> None:
     """As of a structure that was turned into another one; not at the same time."""
     base = box_block("base", (0, 0, 0), (0.2, 0.2, 0.2))

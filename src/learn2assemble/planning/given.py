@@ -61,7 +61,8 @@ def plan_assembly(
             to a post.
         hands: of bricks that clutch, whether they may come from below, and several as one; a hand
             then holds one while the next one comes.
-        seconds: wall-clock limit; the steps proven until then are kept.
+        seconds: wall-clock limit; the steps proven until then are kept. Their margins may take as
+            long again, and those of the steps behind that are not computed.
 
     Returns:
         The plan; :attr:`~.plan.Plan.assembly` has the posts, as props, behind the given blocks.

@@ -366,7 +366,7 @@ def site_of(
     blocks, given, level = whole.blocks, problem.assembly.blocks, problem.layers[0].contacts
     fixed, contacts = np.array([block.support for block in blocks]), layers[-1].contacts
     friction, count = list(problem.friction), len(given)
-    laws: list[Law] = [ByForces(whole, *layer, friction) for layer in layers]
+    laws: list[Law] = [ByForces(whole, *layer, friction, clock) for layer in layers]
     if ByLoads.fits(level):
         least = friction[0] if problem.margin_friction is None else problem.margin_friction
         laws.insert(0, ByLoads.of_contacts(problem.assembly, level, least, clock))

@@ -120,13 +120,20 @@ class ByForces:
     Args:
         proof: what a step is called whose state it proves.
         friction: coefficients at which a state has to stand, the smallest first.
+        clock: margins are found until so long after its time is over as that was; without one all.
     """
 
     def __init__(
-        self, assembly: Assembly, contacts: Contacts, proof: str, friction: list[float]
+        self,
+        assembly: Assembly,
+        contacts: Contacts,
+        proof: str,
+        friction: list[float],
+        clock: Clock | None = None,
     ) -> None:
         self.states: States = States(assembly, contacts, friction)
         self.proof = proof
+        self.clock = clock
         self._pushes = Pushes(self.states, friction[0])
         self._rests: dict[tuple[int, bytes], bool] = {}
 
@@ -143,7 +150,8 @@ class ByForces:
         return self._rests[key]
 
     def report(self, state: State) -> Shown:
-        return Shown(self.proof, self._pushes.follow(state))
+        over = self.clock is not None and self.clock.spent > 2 * self.clock.limit
+        return Shown(self.proof, None if over else self._pushes.follow(state))
 
     def moving(self, state: State) -> list[int]:
         return self.states.moving(state)
