@@ -717,6 +717,27 @@ def test_a_bag_has_both_arms_on_one_clock(
     assert names_of_two("panda", "panda") == ("panda_1", "panda_2")
 
 
+def test_a_folder_with_files_of_two_builds_is_refused_in_one_line(
+    built: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    for name in ("plan.json", "trajectory-1.json", "trajectory-2.json"):
+        (tmp_path / name).write_bytes((built[0] / name).read_bytes())
+    file = tmp_path / "trajectory-2.json"
+    said = json.loads(file.read_text(encoding="utf-8"))
+    said["names"][0] = "a block of another build"
+    file.write_text(json.dumps(said), encoding="utf-8")
+    with pytest.raises(InputError, match=r"trajectory-2\.json: got 'a record with other blocks'"):
+        l2a.export_program(tmp_path / "trajectory-1.json", "csv", tmp_path / "new.csv")
+    file.unlink()
+    with pytest.raises(InputError, match="expected a record of the other arm"):
+        l2a.export_program(tmp_path / "trajectory-1.json", "csv", tmp_path / "new.csv")
+    plan = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))
+    plan["arms"] = plan["arms"][:1]
+    (tmp_path / "plan.json").write_text(json.dumps(plan), encoding="utf-8")
+    with pytest.raises(InputError, match="a complete plan of an arm, or of two"):
+        l2a.run(tmp_path)
+
+
 def test_the_page_of_arms_that_never_moved_shows_the_plan(
     built: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:

@@ -149,7 +149,7 @@ def run(
             raise InputError("robot", one, "an address, as sim:// or ur://HOST, or a plant")
     if not isinstance(plan, Plan):
         plan = load_plan(plan)
-    count = len(plan.arms) or int(plan.arm is not None)
+    count = len(plan.arms) if len(plan.arms) > 1 else int(plan.arm is not None)
     if not count or plan.assembly is None or not plan.complete:
         got = f"{plan.status}, {count or 'no'} arm{'s' * (count != 1)}"
         raise InputError("plan", got, "a complete plan of an arm, or of two (`arm=`)")
