@@ -30,10 +30,11 @@ from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.capsules import capsules_of, in_hand, solid_capsules
-from learn2assemble.robot.studs import Studs
+from learn2assemble.robot.studs import GROUND, StudJoint, Studs
 from learn2assemble.robot.sweeps import still, sweep
 from learn2assemble.simulation.cell import DynamicCell
 from learn2assemble.simulation.clutch import Clutch
+from learn2assemble.simulation.dry_run import _put_home
 from learn2assemble.simulation.objects import rigid_objects
 from learn2assemble.simulation.plant import DynamicPlant
 from learn2assemble.simulation.simulation import SimulatedState
@@ -71,6 +72,20 @@ def test_two_arms_find_the_order_of_one(stair: Ordered) -> None:
     assert [step.way for step in plan.steps] == ["above", "above", "beside", "beside"]
     assert [arm.name for arm in plan.arms] == ["one", "two"]
     assert [arm.tool for arm in plan.arms] == ["gripper", "gripper"]
+
+
+def test_in_a_replay_what_the_other_arm_has_pressed_home_is_home() -> None:
+    facts = (16.8, (0.0, 0.0, 0.0), (), ((0.0,) * 3, (0.0,) * 3), False)
+    joints = tuple(
+        StudJoint(lower, upper, (0.0, 0.0, high), *facts)  # pyright: ignore[reportArgumentType]
+        for lower, upper, high in ((GROUND, 0, 0.01), (0, 1, 0.02), (1, 2, 0.02))
+    )
+    poses = np.array([[0.0, 0.0, z, 1.0, 0.0, 0.0, 0.0] for z in (0.01, 0.03, -0.05)])
+    studs = Studs(joints, 20.0)
+    assert _put_home(studs, poses, {0, 1, 2}) == {(GROUND, 0), (0, 1)}
+    assert _put_home(studs, poses, {1}) == {(0, 1)}
+    poses[0, 0] = 0.1  # It waits in a magazine.
+    assert _put_home(studs, poses, {0, 1, 2}) == set()
 
 
 def test_what_is_only_planned_says_who_brings_what_and_why_it_stands() -> None:

@@ -29,7 +29,7 @@ from learn2assemble.cli.commands import _print_plan
 from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError
 from learn2assemble.export.cards import step_cards
-from learn2assemble.export.robot_programs import export_program
+from learn2assemble.export.robot_programs import export_program, replay_program
 from learn2assemble.jobs.build import build
 from learn2assemble.motion.setup import Disturbance
 from learn2assemble.planning.plan import Plan
@@ -578,7 +578,9 @@ def test_nothing_is_taken_away_while_another_arm_may_leave_it_unsupported() -> N
 
 
 @pytest.mark.parametrize("noise", [(0.0, 0.0), (3e-4, 2e-3)])
-def test_two_arms_turn_one_structure_into_another(noise: tuple[float, float]) -> None:
+def test_two_arms_turn_one_structure_into_another(
+    noise: tuple[float, float], tmp_path: Path
+) -> None:
     old = small_bricks(((0, 2), (4, 6), (7, 9)), ((0, 1), (4, 5)))
     new = small_bricks(((1, 5), (7, 9)), ((1, 3), (3, 5)), ((2, 4),))
     done = build(
@@ -599,6 +601,11 @@ def test_two_arms_turn_one_structure_into_another(noise: tuple[float, float]) ->
     if not any(noise):
         # What the other arm carries away is no disturbance.
         assert not any(one.failures for one in did if one)
+        # Nor is it for who plays what one of them has done.
+        for who, arm in enumerate(("ur5e", "panda")):
+            records = done.records[who], done.records[1 - who]
+            file = export_program(records, "csv", tmp_path / f"{arm}.csv").file
+            assert replay_program(file, arm).same
 
 
 def test_an_arm_that_has_nothing_to_do_is_waited_for_by_nobody(tmp_path: Path) -> None:

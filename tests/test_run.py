@@ -20,6 +20,7 @@ from learn2assemble.cell.workcell import Job, Workcell
 from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
+from learn2assemble.files import claim_folder
 from learn2assemble.jobs.driven import IN_HAND, Timed
 from learn2assemble.jobs.run import Ran, run
 from learn2assemble.motion.plant import (
@@ -417,6 +418,18 @@ def test_a_run_in_the_simulation(tmp_path: Path) -> None:
     assert again.blocks == len(job.pieces) - 2
     assert again.plan.arm is not None
     assert (again.plan.arm.error_worst or 1.0) <= 1e-3
+
+
+def test_one_process_at_a_time_runs_a_plan(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan, _ = wall(4, 1, 1)
+    plan.save(tmp_path, page=False)
+    with claim_folder(tmp_path, resume=True):
+        assert main(["run", str(tmp_path)]) == 2
+    assert "nothing else is writing into" in capsys.readouterr().err
+    assert main(["run", str(tmp_path)]) == 0
+    assert not (tmp_path / ".lock").exists()
 
 
 def test_what_breaks_a_rule_goes_on_with_another_layout_alone(

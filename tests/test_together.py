@@ -8,6 +8,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -67,6 +68,7 @@ from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.moves import Failure, Outcome
 from learn2assemble.robot.sweeps import Sweep, clear, still, sweep
 from learn2assemble.simulation.plant import DynamicPlant
+from learn2assemble.viewer.page import write_plan_page
 from learn2assemble.viewer.playback import Playback
 
 LEFT = get_arm("ur5e", "suction", (-0.42, 0.0, 0.0, 0.0))
@@ -713,6 +715,42 @@ def test_a_bag_has_both_arms_on_one_clock(
     with pytest.raises(InputError, match="the programs of two arms"):
         l2a.replay_program(bag.file, "ur5e")
     assert names_of_two("panda", "panda") == ("panda_1", "panda_2")
+
+
+def test_a_folder_with_files_of_two_builds_is_refused_in_one_line(
+    built: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    for name in ("plan.json", "trajectory-1.json", "trajectory-2.json"):
+        (tmp_path / name).write_bytes((built[0] / name).read_bytes())
+    file = tmp_path / "trajectory-2.json"
+    said = json.loads(file.read_text(encoding="utf-8"))
+    said["names"][0] = "a block of another build"
+    file.write_text(json.dumps(said), encoding="utf-8")
+    with pytest.raises(InputError, match=r"trajectory-2\.json: got 'a record with other blocks'"):
+        l2a.export_program(tmp_path / "trajectory-1.json", "csv", tmp_path / "new.csv")
+    file.unlink()
+    with pytest.raises(InputError, match="expected a record of the other arm"):
+        l2a.export_program(tmp_path / "trajectory-1.json", "csv", tmp_path / "new.csv")
+    plan = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))
+    plan["arms"] = plan["arms"][:1]
+    (tmp_path / "plan.json").write_text(json.dumps(plan), encoding="utf-8")
+    with pytest.raises(InputError, match="a complete plan of an arm, or of two"):
+        l2a.run(tmp_path)
+
+
+def test_the_page_of_arms_that_never_moved_shows_the_plan(
+    built: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    plan = Plan.load(built[0])
+    assert plan.assembly is not None
+    still = tuple(
+        replace(one, steps=tuple(replace(step, stages=()) for step in one.steps))
+        for one in plan.records
+    )
+    write_plan_page(replace(plan, records=still), tmp_path / "view.html")
+    text = (tmp_path / "view.html").read_text(encoding="utf-8")
+    assert "<rect class=" not in text.split("<script")[0]
+    assert f"Place {plan.assembly.blocks[plan.steps[0].block].id}" in text
 
 
 def test_the_page_shows_both(built: tuple[Path, dict[str, Any]]) -> None:

@@ -332,6 +332,31 @@ def unwritable(what: str, path: Path, error: OSError) -> InputError:
 
 
 LOCK = ".lock"
+ALONE = "a folder that nothing else is writing into"
+
+
+@contextmanager
+def alone_in(folder: Path, what: str) -> Generator[None, None, None]:
+    """Keep other processes that write out of a folder that is there, while the block runs.
+
+    Args:
+        folder: whatever it holds.
+        what: names it in messages.
+
+    Raises:
+        InputError: where another process is writing into it, or none can.
+    """
+    try:
+        lock = _open_lock(folder / LOCK)
+    except OSError as error:
+        raise unwritable(what, folder, error) from None
+    with lock:
+        if not _locked(lock):
+            raise InputError(what, printable(str(folder)), ALONE)
+        try:
+            yield
+        finally:
+            (folder / LOCK).unlink(missing_ok=True)
 
 
 @contextmanager
@@ -364,9 +389,9 @@ def claim_folder(
                 raise InputError(what, name, f"{expected}, not a link to nowhere")
             folder.mkdir(parents=True, exist_ok=True)
         _check_content(folder, what)
-        with _open_lock(folder / LOCK) as lock:
-            if not _locked(lock) or (not resume and _content(folder)):
-                raise InputError(what, name, "a folder that nothing else is writing into")
+        with alone_in(folder, what):
+            if not resume and _content(folder):
+                raise InputError(what, name, ALONE)
             try:
                 yield
             finally:

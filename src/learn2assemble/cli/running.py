@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import sys
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 from learn2assemble.cli.parser import Command, arg, command, count, named, percent
 from learn2assemble.errors import InputError
+from learn2assemble.files import alone_in
 from learn2assemble.values import to_plain
 
 if TYPE_CHECKING:
@@ -89,19 +91,22 @@ def _run(options: argparse.Namespace, output: Output) -> int:
         program=site.program, serve=_serve, trust_placements=options.trust_placements
     )
     robots = options.robot or [SIMULATION]
-    ran = run(
-        options.plan,
-        robots,
-        layout=site,
-        state=state,
-        speed=options.speed,
-        confirm=confirm,
-        around=around,
-        progress=output.progress,
-    )
+    # Two runs of one plan would both move its robot.
+    there = (folder / "plan.json").is_file()
+    with alone_in(folder, "PLAN") if there else nullcontext():
+        ran = run(
+            options.plan,
+            robots,
+            layout=site,
+            state=state,
+            speed=options.speed,
+            confirm=confirm,
+            around=around,
+            progress=output.progress,
+        )
+        if ran.complete:
+            state.unlink(missing_ok=True)
     paused = ran.reason == "paused"
-    if ran.complete:
-        state.unlink(missing_ok=True)
     result: dict[str, Any] = {
         "design": ran.plan.design.name,
         "robot": robots[0] if len(robots) == 1 else robots,

@@ -206,9 +206,19 @@ def _records_of(
     record = _read_record(path)
     if found := re.fullmatch(r"trajectory-([12])\.json", path.name):
         across = path.with_name(f"trajectory-{3 - int(found[1])}.json")
-        check_exists(across, "the record of the other arm, for which this one has to wait")
-        return record, read_record(across)
+        check_exists(across, "record of the other arm, for which this one has to wait")
+        other = read_record(across)
+        both = zip(_called(record), _called(other), strict=False)
+        if any(one != two for one, two in both if one[0] and two[0]):
+            got = "a record with other blocks"
+            raise InputError(printable(str(across)), got, f"that of the build of {path.name}")
+        return record, other
     return (record,)
+
+
+def _called(record: BuildRecord) -> list[tuple[str, str]]:
+    """Name and kind of every block; what an arm has lost meanwhile is behind them."""
+    return list(zip(record.names, record.kinds, strict=True))
 
 
 def _read_record(path: Path) -> BuildRecord:

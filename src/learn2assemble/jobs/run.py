@@ -158,6 +158,8 @@ def run(
         arms = ", ".join(one.name for one in plan.arms) or "one arm"
         several = f"{len(robots)} robot{'s' * (len(robots) != 1)}"
         raise InputError("robot", several, f"one for each arm of the plan: {arms}")
+    if count == 1 and plan.arm is None:
+        raise InputError("plan", "one arm of two", "a complete plan of an arm, or of two (`arm=`)")
     if count > 1 and len(robots) > 1 and SIMULATION in robots:
         raise InputError("robot", f"{SIMULATION} as one of two", "it alone, for both arms")
     site = layout if isinstance(layout, Site) else Site()

@@ -66,6 +66,13 @@ class ArmStep(NamedTuple):
     """[s]."""
 
 
+def anything_to_play(records: Sequence[BuildRecord]) -> bool:
+    """Whether pages and videos have an attempt to show: of several arms one that has moved."""
+    if len(records) < 2:
+        return any(record.steps for record in records)
+    return any(step.stages for record in records for step in record.steps)
+
+
 def merged(records: Sequence[BuildRecord]) -> list[ArmStep]:
     """The attempts of arms that have built side by side, on one clock; of several arms those in
     which they moved."""

@@ -454,7 +454,9 @@ class Plan:
         if page:
             files |= self.write_page(folder)
         files |= write_records(folder, self.records)
-        if video and any(record.steps for record in self.records):
+        from learn2assemble.motion.attempts import anything_to_play
+
+        if video and anything_to_play(self.records):
             files |= EXPORTS["video"](self, folder, progress)
         return files
 

@@ -42,7 +42,8 @@ class DryRun(NamedTuple):
     poses: np.ndarray
     """float64[C, 7] of all cells at the end, as in :class:`~.places.Blocks`."""
     error: np.ndarray
-    """float64[C]: distance of each cell from where the program says it ends [m]."""
+    """float64[C]: distance of each cell from where the program says it ends [m]; 0 of those that
+    end in a magazine and are in one."""
     seconds: float
     """How long the robot moved [s]."""
     fault: str = ""
@@ -79,6 +80,8 @@ def play(program: Program, arm: Arm) -> DryRun:
     clock = np.arange(1, count + 1) * TIMESTEP
     told = _driven(program, arm, clock)
     home = set[tuple[int, int]]()
+    if program.of_two:
+        home = _put_home(blocks.studs, poses, set(range(len(poses))))
     first = 0
     for step in program.steps:
         last = count if step is program.steps[-1] else round(step.end / TIMESTEP)
@@ -119,7 +122,11 @@ def play(program: Program, arm: Arm) -> DryRun:
         while supply and supply[0].time <= step.end + 1e-6:
             present = supply.pop(0)
             poses[list(present.cells)] = present.poses
+            if program.of_two:
+                home |= _put_home(blocks.studs, poses, set(present.cells))
     error = np.linalg.norm(poses[:, :3] - blocks.end[:, :3], axis=1)
+    # In which magazine a block waits that was taken away is no matter of the structure.
+    error[(poses[:, 2] < 0) & (blocks.end[:, 2] < 0)] = 0.0
     names = tuple(map(blocks.name, range(len(poses))))
     brought = _left_alone(program) if program.of_two else 0
     return DryRun(poses, error, program.seconds, fault, names, brought)
@@ -175,6 +182,24 @@ def _run(sim: Simulation, run: PathSamples, told: _Told, watch: Watch, opens: bo
     sim.run(run, told.tool, "approach", watch, told.load)
     if opens and clutch is not None:
         clutch.draw()
+
+
+def _put_home(studs: Studs | None, poses: np.ndarray, cells: set[int]) -> set[tuple[int, int]]:
+    """Joints of studs of cells that the other arm has pressed home: where one is in its place on
+    the other one.
+
+    Args:
+        poses: float64[C, 7] of all cells.
+    """
+    found = set[tuple[int, int]]()
+    for joint in () if studs is None else studs.joints:
+        pair = joint.lower, joint.upper
+        if not cells.intersection(pair) or (poses[[k for k in pair if k >= 0], 2] < 0).any():
+            continue
+        below = np.zeros(3) if joint.lower == GROUND else poses[joint.lower, :3]
+        if np.linalg.norm(poses[joint.upper, :3] - below - joint.at) <= SAME:
+            found.add(pair)
+    return found
 
 
 def _cells(rows: np.ndarray, pair: tuple[int, int]) -> tuple[int, int]:

@@ -21,6 +21,7 @@ from learn2assemble.assembly.instructions import Instructions, instructions
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError, as_both, listed
 from learn2assemble.files import write_file
+from learn2assemble.motion.attempts import anything_to_play
 from learn2assemble.planning.plan import LARGEST, Plan
 from learn2assemble.viewer import scene, tables
 from learn2assemble.viewer.arm import (
@@ -171,7 +172,7 @@ def render_assembly_page(
         page["views"] += NEAR_VIEW
         page["legend"] += tables.entry("target", REACH_WORDS)
         scripts = (*_SCRIPTS[:-1], "arm.js", _SCRIPTS[-1])
-    if plan is not None and any(record.steps for record in plan.records):
+    if plan is not None and anything_to_play(plan.records):
         playback = Playback(plan.records, plan)
         labels = cell_labels(assembly, playback.blocks, captions)
         data["arm"] = arm_data(playback, labels)
