@@ -130,6 +130,20 @@ def test_near_bricks_come_as_the_order_has_them() -> None:
     assert apart == {parts[1]: {parts[0]}}
 
 
+def test_magazines_of_bricks_are_to_the_left_of_each_arm() -> None:
+    """On the way from one to another an arm does not pass what is built, nor the other arm."""
+    sizes = enumerate([(2, 4), (2, 3), (2, 2), (1, 4)])
+    made = [Brick((0, 0, 3 * z), (*size, 3), str(z)) for z, size in sizes]
+    tower = assembly_of(BrickModel(tuple(made)), load_kit("lego"), "tower")
+    members = set_up_team(tower, [one._replace(tool="socket") for one in ARMS], Site())
+    middle = (members[0].job.base + members[1].job.base) / 2
+    for member in members:
+        x, y = middle - member.job.base
+        left = [np.array([-y, x]) @ (np.array(s.pose[:2]) - middle) for s in member.job.sources]
+        assert len(left) == 4
+        assert min(left) > -1e-6
+
+
 # ---------------------------------------------------------------- who may press
 
 
