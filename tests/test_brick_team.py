@@ -124,10 +124,32 @@ def test_near_bricks_come_as_the_order_has_them() -> None:
     first, second = sorted((0, 1), key=lambda k: [step.block for step in order].index(k))
     waits = steps_before(job, BrickStructure(job), ())
     assert waits == {StepOf(second): {StepOf(first)}}
-    # One part is built beside after the other, however far from each other they are.
-    parts = StepOf(0, beside=(0.5, 0.0, 0.0)), StepOf(2, beside=(-0.5, 0.0, 0.0)), StepOf(1)
-    apart = steps_before(replace(job, steps=parts), BrickStructure(job), ())
-    assert apart == {parts[1]: {parts[0]}}
+    # One part is built beside after the other where they are built on one spot.
+    for far, alike in ((0.02, True), (0.5, False)):
+        first, second = StepOf(0, beside=(0.5, 0.0, 0.0)), StepOf(2, beside=(0.5, far, 0.0))
+        steps = first, second, StepOf(0, group=(1,), whence=(0.5, 0.0, 0.0))
+        apart = steps_before(replace(job, steps=steps), BrickStructure(job), ())
+        assert apart.get(second, set()) == ({first} if alike else set())
+        assert apart[steps[2]] == ({first, second} if alike else {first})
+
+
+def test_each_arm_builds_a_part_beside_on_its_own_side() -> None:
+    """That of its end of the structure, while the other one builds the other part."""
+    stairs = [((4, 2), (0, 0)), ((2, 2), (0, 0)), ((2, 2), (1, 0)), ((2, 2), (2, 0))]
+    two = duplo(*((size, (x, y, z)) for y in (0, 8) for z, (size, (x, _)) in enumerate(stairs)))
+    members = set_up_team(two, [one._replace(tool="socket-large") for one in ARMS], Site())
+    workcell = Workcell("panda", "socket-large")
+    plan, order = bricks_by_team(two, members, workcell)
+    crew = gather(plan, members, workcell, 0.0, order)
+    parts = [next(step for step in one.order.steps if step.group) for one in crew.found]
+    assert [part.block for part in parts] == [2, 6]
+    jobs = [one.job for one in crew.found]
+    middle = (jobs[0].base + jobs[1].base) / 2
+    waits = steps_before(jobs[0], BrickStructure(jobs[0]), ())
+    for job, own, other in zip(jobs, parts, parts[::-1], strict=True):
+        at = job.pieces[own.block].target[:2] + own.whence[:2] - middle
+        assert at @ (job.base - middle) > 0.1 * np.linalg.norm(job.base - middle)
+        assert not [step for step in waits[own] if other.whence in (step.beside, step.whence)]
 
 
 def test_magazines_of_bricks_are_to_the_left_of_each_arm() -> None:
