@@ -266,12 +266,45 @@ def test_what_is_taken_to_stand_is_taken_to_be_home(stair: Ordered) -> None:
     both = Together(gather(plan, members, Workcell("panda", "gripper"), 0.0, order), DynamicPlant)
     building = both.buildings[0]
     world, before = building.world, (both.buildings[0].world.pose.copy(), set[tuple[int, int]]())
-    known = assume(building, 0)
+    known = assume(building, [0])
     assert world.home == {(-1, 0)}
     assert not building.known.structure.loose(0, world)
     forget(building, known)
     assert (world.pose == before[0]).all()
     assert world.home == before[1]
+    # And what comes together, from where it was built.
+    assume(building, [0])
+    assume(building, [1])
+    beside, home = world.beside.copy(), set(world.home)
+    known = assume(building, [2, 3], (0.0, 0.0, 0.0))
+    assert world.home == {(-1, 0), (0, 1), (1, 2), (2, 3)}
+    assert not world.beside.any()
+    assert building.known.satisfied(order[-1])
+    forget(building, known)
+    assert (world.beside == beside).all()
+    assert world.home == home
+    assert not building.known.satisfied(order[-1])
+
+
+def test_what_comes_together_is_expected_when_it_is_off_its_table(stair: Ordered) -> None:
+    """Before, it is in the way where it was built."""
+    plan, order, members = stair
+    both = Together(gather(plan, members, Workcell("panda", "gripper"), 0.0, order), DynamicPlant)
+    lane = both.traffic.lanes[1]
+    block = still(
+        solid_capsules((Part((0.0, 0.0, 0.0), (0.03, 0.02, 0.02)),), np.zeros(3), np.eye(3))
+    )
+    lane.route = Route("b", capsules_of(LEFT), (), block)
+    both.moves[1], both.along[1], both.to[1] = 2, (3,), (0.0, 0.0, 0.0)
+    for stage, holding, expected in (("lift", True, False), ("cross", True, True)):
+        lane.stage, lane.holding = stage, holding
+        assert both._expects(0) == expected  # pyright: ignore[reportPrivateUsage]
+    both._assume(0)  # pyright: ignore[reportPrivateUsage]
+    assert both.buildings[0].known.satisfied(order[-1])
+    both._forget(0)  # pyright: ignore[reportPrivateUsage]
+    both.along[1], both.to[1] = (), None
+    lane.holding = False
+    assert both._expects(0)  # pyright: ignore[reportPrivateUsage]
 
 
 @pytest.mark.parametrize(
