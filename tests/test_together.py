@@ -21,6 +21,7 @@ import learn2assemble as l2a
 from cell_shapes import SHAPES, wall
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.boxes import box_block
+from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
 from learn2assemble.assembly.kit import DEFAULT_KIT, load_kit
 from learn2assemble.cell.arrange import BESIDE, HAND, lower_beside
 from learn2assemble.cell.carry_out import carry_out, prepare, setup_of
@@ -636,6 +637,18 @@ def test_programs_of_both_keep_apart_however_fast_each_is(
     assert [(one.waits, one.awaited) for one in turned[::-1]] == [
         (one.waits, one.awaited) for one in programs
     ]
+
+
+def test_programs_of_arms_that_went_on_without_a_stop_keep_apart() -> None:
+    """The one that followed the other one waits before it begins."""
+    bricks = tuple(Brick((0, 0, 3 * z), (2, 4, 3), str(z)) for z in range(3))
+    tower = assembly_of(BrickModel(bricks), load_kit("lego"), "tower")
+    plan = l2a.build(tower, arm=("panda", "panda"), tool="socket")
+    assert plan.complete
+    arms = [arm_of(record.arm) for record in plan.records]
+    made = [make_program(*one) for one in zip(plan.records, arms, strict=True)]
+    programs = with_waits((made[0], made[1]), (arms[0], arms[1]))
+    assert min(asynchronous(programs, arms, seed) for seed in range(4)) > KEPT
 
 
 def test_each_arm_gets_a_program_that_says_what_it_waits_for(
