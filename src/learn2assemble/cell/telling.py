@@ -52,6 +52,12 @@ class SharedCell(Protocol):
         ...
 
     @property
+    def piecewise(self) -> bool:
+        """Whether a motion may be told piece by piece, each beginning with the velocity with which
+        the one before has ended."""
+        ...
+
+    @property
     def clock(self) -> Turns:
         """The time they share."""
         ...

@@ -112,11 +112,14 @@ class Together(Generic[Cell]):
         self.journal, kept = journal, list[dict[str, Any]]()
         if journal is not None:
             kept = journal.read(self.plant, (first, second))
+        # What is slowed down for a rule of the layout is told whole.
+        piecewise = through is None and crew.workcells[0].site.safety.speed is None
+        piecewise = piecewise and self.plant.piecewise
         through = through or crew.guarded
         mine, other = (through(*one) for one in enumerate(self.plant.plants))
         self.arms: tuple[ArmInTraffic, ArmInTraffic] = (
-            ArmInTraffic(mine, self.traffic, 0, other),
-            ArmInTraffic(other, self.traffic, 1, mine),
+            ArmInTraffic(mine, self.traffic, 0, other, piecewise),
+            ArmInTraffic(other, self.traffic, 1, mine, piecewise),
         )
         self.worked: tuple[Worked, ...] = tuple(
             self._worker(*one, Witness(self.plant)) for one in zip(*crew, self.arms, strict=True)
