@@ -141,6 +141,9 @@ def test_each_arm_builds_a_part_beside_on_its_own_side() -> None:
     workcell = Workcell("panda", "socket-large")
     plan, order = bricks_by_team(two, members, workcell)
     crew = gather(plan, members, workcell, 0.0, order)
+    # First, as the rest waits for it, and the other arm may build that meanwhile.
+    for one, part in zip(crew.found, ({2, 3}, {6, 7}), strict=True):
+        assert {step.block for step in one.order.steps[:3]} == part
     parts = [next(step for step in one.order.steps if step.group) for one in crew.found]
     assert [part.block for part in parts] == [2, 6]
     jobs = [one.job for one in crew.found]
@@ -284,6 +287,21 @@ def test_what_is_taken_to_stand_is_taken_to_be_home(stair: Ordered) -> None:
     assert (world.beside == beside).all()
     assert world.home == home
     assert not building.known.satisfied(order[-1])
+
+
+def test_the_next_step_is_one_that_can_be_done_then(stair: Ordered) -> None:
+    """An arm waits above what it takes for that, not at home for a part that is not there yet."""
+    plan, order, members = stair
+    both = Together(gather(plan, members, Workcell("panda", "gripper"), 0.0, order), DynamicPlant)
+    known = both.buildings[0].known
+    beside = {step.block: step for step in order[2:4]}
+    known.order = order[-1], *order[:-1]
+    assert known.next_after(0) == order[1]
+    assume(both.buildings[0], [0])
+    assume(both.buildings[0], [1])
+    assert known.next_after(2) == beside[3]
+    assume(both.buildings[0], [2])
+    assert known.next_after(3) == order[-1]
 
 
 def test_what_comes_together_is_expected_when_it_is_off_its_table(stair: Ordered) -> None:
