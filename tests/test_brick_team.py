@@ -302,6 +302,10 @@ def test_the_next_step_is_one_that_can_be_done_then(stair: Ordered) -> None:
     assert known.next_after(2) == beside[3]
     assume(both.buildings[0], [2])
     assert known.next_after(3) == order[-1]
+    # Where nothing can, the first one: what is missing may come with what the arm has in hand.
+    known = both.buildings[1].known
+    known.order = order[1:2]
+    assert known.next_after(2) == order[1]
 
 
 def test_what_comes_together_is_expected_when_it_is_off_its_table(stair: Ordered) -> None:

@@ -213,12 +213,12 @@ class Choice:
 
     def next_after(self, block: int) -> StepOf | None:
         """The step that comes next, as a rule, when a block is in its place: of bricks that clutch,
-        the first one for which nothing is missing then."""
+        the first one for which nothing is missing then, if there is one."""
         others = {block} | self.elsewhere
         left = [s for s in self.order if s.block not in others and not self.satisfied(s)]
         if self.structure.studs() is not None:
             there = self.standing() | {k for k in others if k < len(self.job.pieces)}
-            left = [step for step in left if self._comes(step, others, there)]
+            left = [step for step in left if self._comes(step, others, there)] or left
         return next(iter(left), None)
 
     def _comes(self, step: StepOf, others: set[int], there: set[int]) -> bool:
