@@ -162,10 +162,49 @@ def test_near_bricks_come_as_the_order_has_them() -> None:
     first, second = sorted((0, 1), key=lambda k: [step.block for step in order].index(k))
     waits = steps_before(job, BrickStructure(job), ())
     assert waits == {StepOf(second): {StepOf(first)}}
-    # One part is built beside after the other, however far from each other they are.
-    parts = StepOf(0, beside=(0.5, 0.0, 0.0)), StepOf(2, beside=(-0.5, 0.0, 0.0)), StepOf(1)
-    apart = steps_before(replace(job, steps=parts), BrickStructure(job), ())
-    assert apart == {parts[1]: {parts[0]}}
+    # One part is built beside after the other where they are built on one spot.
+    for far, alike in ((0.02, True), (0.5, False)):
+        first, second = StepOf(0, beside=(0.5, 0.0, 0.0)), StepOf(2, beside=(0.5, far, 0.0))
+        steps = first, second, StepOf(0, group=(1,), whence=(0.5, 0.0, 0.0))
+        apart = steps_before(replace(job, steps=steps), BrickStructure(job), ())
+        assert apart.get(second, set()) == ({first} if alike else set())
+        assert apart[steps[2]] == ({first, second} if alike else {first})
+
+
+def test_each_arm_builds_a_part_beside_on_its_own_side() -> None:
+    """That of its end of the structure, while the other one builds the other part."""
+    stairs = [((4, 2), (0, 0)), ((2, 2), (0, 0)), ((2, 2), (1, 0)), ((2, 2), (2, 0))]
+    two = duplo(*((size, (x, y, z)) for y in (0, 8) for z, (size, (x, _)) in enumerate(stairs)))
+    members = set_up_team(two, [one._replace(tool="socket-large") for one in ARMS], Site())
+    workcell = Workcell("panda", "socket-large")
+    plan, order = bricks_by_team(two, members, workcell)
+    crew = gather(plan, members, workcell, 0.0, order)
+    # First, as the rest waits for it, and the other arm may build that meanwhile.
+    for one, part in zip(crew.found, ({2, 3}, {6, 7}), strict=True):
+        assert {step.block for step in one.order.steps[:3]} == part
+    parts = [next(step for step in one.order.steps if step.group) for one in crew.found]
+    assert [part.block for part in parts] == [2, 6]
+    jobs = [one.job for one in crew.found]
+    middle = (jobs[0].base + jobs[1].base) / 2
+    waits = steps_before(jobs[0], BrickStructure(jobs[0]), ())
+    for job, own, other in zip(jobs, parts, parts[::-1], strict=True):
+        at = job.pieces[own.block].target[:2] + own.whence[:2] - middle
+        assert at @ (job.base - middle) > 0.1 * np.linalg.norm(job.base - middle)
+        assert not [step for step in waits[own] if other.whence in (step.beside, step.whence)]
+
+
+def test_magazines_of_bricks_are_to_the_left_of_each_arm() -> None:
+    """On the way from one to another an arm does not pass what is built, nor the other arm."""
+    sizes = enumerate([(2, 4), (2, 3), (2, 2), (1, 4)])
+    made = [Brick((0, 0, 3 * z), (*size, 3), str(z)) for z, size in sizes]
+    tower = assembly_of(BrickModel(tuple(made)), load_kit("lego"), "tower")
+    members = set_up_team(tower, [one._replace(tool="socket") for one in ARMS], Site())
+    middle = (members[0].job.base + members[1].job.base) / 2
+    for member in members:
+        x, y = middle - member.job.base
+        left = [np.array([-y, x]) @ (np.array(s.pose[:2]) - middle) for s in member.job.sources]
+        assert len(left) == 4
+        assert min(left) > -1e-6
 
 
 # ---------------------------------------------------------------- who may press
@@ -268,12 +307,64 @@ def test_what_is_taken_to_stand_is_taken_to_be_home(stair: Ordered) -> None:
     both = Together(gather(plan, members, Workcell("panda", "gripper"), 0.0, order), DynamicPlant)
     building = both.buildings[0]
     world, before = building.world, (both.buildings[0].world.pose.copy(), set[tuple[int, int]]())
-    known = assume(building, 0)
+    known = assume(building, [0])
     assert world.home == {(-1, 0)}
     assert not building.known.structure.loose(0, world)
     forget(building, known)
     assert (world.pose == before[0]).all()
     assert world.home == before[1]
+    # And what comes together, from where it was built.
+    assume(building, [0])
+    assume(building, [1])
+    beside, home = world.beside.copy(), set(world.home)
+    known = assume(building, [2, 3], (0.0, 0.0, 0.0))
+    assert world.home == {(-1, 0), (0, 1), (1, 2), (2, 3)}
+    assert not world.beside.any()
+    assert building.known.satisfied(order[-1])
+    forget(building, known)
+    assert (world.beside == beside).all()
+    assert world.home == home
+    assert not building.known.satisfied(order[-1])
+
+
+def test_the_next_step_is_one_that_can_be_done_then(stair: Ordered) -> None:
+    """An arm waits above what it takes for that, not at home for a part that is not there yet."""
+    plan, order, members = stair
+    both = Together(gather(plan, members, Workcell("panda", "gripper"), 0.0, order), DynamicPlant)
+    known = both.buildings[0].known
+    beside = {step.block: step for step in order[2:4]}
+    known.order = order[-1], *order[:-1]
+    assert known.next_after(0) == order[1]
+    assume(both.buildings[0], [0])
+    assume(both.buildings[0], [1])
+    assert known.next_after(2) == beside[3]
+    assume(both.buildings[0], [2])
+    assert known.next_after(3) == order[-1]
+    # Where nothing can, the first one: what is missing may come with what the arm has in hand.
+    known = both.buildings[1].known
+    known.order = order[1:2]
+    assert known.next_after(2) == order[1]
+
+
+def test_what_comes_together_is_expected_when_it_is_off_its_table(stair: Ordered) -> None:
+    """Before, it is in the way where it was built."""
+    plan, order, members = stair
+    both = Together(gather(plan, members, Workcell("panda", "gripper"), 0.0, order), DynamicPlant)
+    lane = both.traffic.lanes[1]
+    block = still(
+        solid_capsules((Part((0.0, 0.0, 0.0), (0.03, 0.02, 0.02)),), np.zeros(3), np.eye(3))
+    )
+    lane.route = Route("b", capsules_of(LEFT), (), block)
+    both.moves[1], both.along[1], both.to[1] = 2, (3,), (0.0, 0.0, 0.0)
+    for stage, holding, expected in (("lift", True, False), ("cross", True, True)):
+        lane.stage, lane.holding = stage, holding
+        assert both._expects(0) == expected  # pyright: ignore[reportPrivateUsage]
+    both._assume(0)  # pyright: ignore[reportPrivateUsage]
+    assert both.buildings[0].known.satisfied(order[-1])
+    both._forget(0)  # pyright: ignore[reportPrivateUsage]
+    both.along[1], both.to[1] = (), None
+    lane.holding = False
+    assert both._expects(0)  # pyright: ignore[reportPrivateUsage]
 
 
 @pytest.mark.parametrize(

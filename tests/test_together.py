@@ -22,6 +22,7 @@ import learn2assemble as l2a
 from cell_shapes import SHAPES, wall
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.boxes import box_block
+from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
 from learn2assemble.assembly.kit import DEFAULT_KIT, load_kit
 from learn2assemble.cell.arrange import BESIDE, HAND, lower_beside
 from learn2assemble.cell.carry_out import carry_out, prepare, setup_of
@@ -67,6 +68,7 @@ from learn2assemble.robot.capsules import placed as lines_at
 from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.moves import Failure, Outcome
 from learn2assemble.robot.sweeps import Sweep, clear, still, sweep
+from learn2assemble.simulation.execution import Coordinator, Execution, Rig
 from learn2assemble.simulation.plant import DynamicPlant
 from learn2assemble.viewer.page import write_plan_page
 from learn2assemble.viewer.playback import Playback
@@ -96,11 +98,11 @@ def route(arm: Arm, corners: list[np.ndarray]) -> Route:
     return Route("a", held, legs, AWAY)
 
 
-@pytest.mark.parametrize("halts", [False, True])
+@pytest.mark.parametrize(("halts", "flows"), [(False, False), (True, False), (True, True)])
 @pytest.mark.parametrize("seed", [0, 1, 3, 4, 6, 7, 8, 9])  # both are on their ways at once
-def test_whatever_happens_when_both_come_to_their_ends(seed: int, halts: bool) -> None:
-    """Random courses that cross each other, legs that take any time, halts on them: nobody waits
-    for ever, and what two arms are on never comes near."""
+def test_whatever_happens_when_both_come_to_their_ends(seed: int, halts: bool, flows: bool) -> None:
+    """Random courses that cross each other, legs that take any time, halts on them, or arms that go
+    on where they may: nobody waits for ever, and what two arms are on never comes near."""
     rng, traffic = np.random.default_rng(seed), Traffic(ARMS)
     jobs: list[list[list[np.ndarray]]] = []
     for arm in ARMS:
@@ -113,7 +115,7 @@ def test_whatever_happens_when_both_come_to_their_ends(seed: int, halts: bool) -
         )
     moving: list[tuple[float, np.ndarray] | None] = [None, None]
     left: list[list[Motion]] = [[], []]
-    waited, together, skipped, done, halted = 0, 0, 0, 0, 0
+    waited, together, skipped, done, halted, went_on = 0, 0, 0, 0, 0, 0
     for _ in range(2000):
         progress = False
         for who in rng.permutation(2).tolist():
@@ -126,6 +128,16 @@ def test_whatever_happens_when_both_come_to_their_ends(seed: int, halts: bool) -
                 here = joints[0] + share * (joints[-1] - joints[0])
                 traffic.passes(who, here)
                 assert not clear(lane.here, sweep(arm, capsules_of(arm), here[None]), 0.0)
+                end = left[who][0].joints[-1] if left[who] else here
+                if flows and lane.stage == "cross" and left[who][0].stage == "cross":
+                    there = joints[-1] + rng.uniform(0.1, 0.9) * (end - joints[-1])
+                    there = end if rng.random() < 0.5 else there
+                    if traffic.goes_on(who, here, there, end):
+                        assert clear(traffic.lanes[0].here, traffic.lanes[1].here, APART)
+                        assert there is not end or lane.behind is None
+                        moving[who], share = (0.0, np.stack([here, there])), 0.0
+                        left[who][:1] = [] if there is end else [motion("cross", there, end)]
+                        went_on += 1
                 if share == 1.0:
                     traffic.stands(who, joints[-1], False)
                     moving[who] = None
@@ -187,6 +199,7 @@ def test_whatever_happens_when_both_come_to_their_ends(seed: int, halts: bool) -
     assert done >= 4
     assert together + waited > 0
     assert halts or not halted
+    assert bool(went_on) == (flows and halted > 0)
 
 
 def test_an_arm_that_comes_after_the_other_one_fetches_meanwhile_and_then_crosses() -> None:
@@ -255,6 +268,89 @@ def test_an_arm_that_waits_comes_nearer() -> None:
     traffic.over(0)
     two.execute(motion("cross", there, end))
     assert [leg.stage for leg in lane.ahead] == ["home"]
+
+
+def test_an_arm_goes_on_where_it_may_before_it_brakes() -> None:
+    """What it sweeps is its own then; where it has come to rest, it asks as before."""
+    traffic, plant = Traffic(ARMS), Still(RIGHT)
+    one, two = (
+        ArmInTraffic(p, traffic, k, q, True)  # pyright: ignore[reportArgumentType]
+        for k, (p, q) in enumerate([(Still(LEFT), plant), (plant, Still(LEFT))])
+    )
+    corners = [[arm.home + step * np.eye(len(arm.home))[0] for step in (0.1, 0.4)] for arm in ARMS]
+    mine, other = (route(arm, where) for arm, where in zip(ARMS, corners, strict=True))
+    assert traffic.announce(0, mine)
+    assert traffic.announce(1, other, behind=True)
+    lane, (start, end) = traffic.lanes[1], corners[1]
+    two.execute(motion("approach", RIGHT.home, start))
+    lane.holding = True
+    there = two.halt(start, end)
+    assert there is not None
+    np.testing.assert_allclose(there, start + HALTS[0] * (end - start))
+    # It is on its way to there, and goes on, but not to the end before that block is placed.
+    now = start + 0.5 * (end - start)
+    two.execute(motion("cross", start, now))
+    assert lane.moving
+    there = two.farther(now, there, end)
+    assert there is not None
+    np.testing.assert_allclose(there, start + 0.99 * (end - start))
+    assert not clear(lane.here, lane.swept(there[None]), 0.0)
+    two.execute(motion("cross", now, there))
+    assert not lane.moving
+    assert [leg.stage for leg in lane.ahead] == ["cross", "home"]
+    for stage, way in zip(LEGS, pairwise([LEFT.home, *corners[0], LEFT.home]), strict=True):
+        one.execute(motion(stage, *way))
+    traffic.over(0)
+    assert two.farther(there, there, end) is end
+    two.execute(motion("cross", there, end))
+    assert not lane.moving
+    assert [leg.stage for leg in lane.ahead] == ["home"]
+    # Where what comes before it was not placed it goes no farther.
+    lane.in_vain = True
+    assert two.farther(end, end, end) is None
+
+
+class May(Coordinator):
+    """Lets an arm go on by these shares of its way, one after the other."""
+
+    piecewise = True
+
+    def __init__(self, *shares: float) -> None:
+        self.shares, self.start = list(shares), np.zeros(0)
+
+    def halt(self, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
+        if not self.shares:
+            return None
+        self.start = start
+        return start + self.shares.pop(0) * (end - start)
+
+    def farther(self, now: np.ndarray, there: np.ndarray, end: np.ndarray) -> np.ndarray | None:
+        if not self.shares:
+            return None
+        share = self.shares.pop(0)
+        return end if share == 1.0 else self.start + share * (end - self.start)
+
+
+def test_a_way_in_pieces_is_the_same_as_one_without_a_stop() -> None:
+    """And where the arm may not go on it brakes, and rests where it may."""
+    arm = get_arm("panda", "gripper")
+    way = np.stack([arm.home, arm.home + 0.8 * np.eye(len(arm.home))[0]])
+    told = list[list[Motion]]()
+    for may in (Coordinator(), May(0.5, 0.7, 1.0), May(0.5, 0.6)):
+        plant = Still(arm)
+        rig = Rig(plant, None, arm, None, arm.bounds, arm.bounds, coordinator=may)  # pyright: ignore[reportArgumentType]
+        run = Execution(rig, None, None, arm.home)  # pyright: ignore[reportArgumentType]
+        run.carry(way)
+        assert np.abs(run.joints - way[1]).max() < 1e-9
+        told.append(plant.told)
+    whole, pieces, rests = told
+    assert (len(whole), len(pieces)) == (1, 3)
+    for values in ("joints", "velocity"):
+        joined = [getattr(pieces[0], values), *(getattr(one, values)[1:] for one in pieces[1:])]
+        np.testing.assert_allclose(np.vstack(joined), getattr(whole[0], values))
+    speeds = [np.abs(one.velocity[-1]).max() for one in rests]
+    assert [speed < 1e-6 for speed in speeds] == [False, False, True, True]
+    np.testing.assert_allclose(rests[2].joints[-1], way[0] + 0.6 * (way[1] - way[0]))
 
 
 def test_an_arm_with_nothing_in_its_way_does_not_halt() -> None:
@@ -638,6 +734,18 @@ def test_programs_of_both_keep_apart_however_fast_each_is(
     assert [(one.waits, one.awaited) for one in turned[::-1]] == [
         (one.waits, one.awaited) for one in programs
     ]
+
+
+def test_programs_of_arms_that_went_on_without_a_stop_keep_apart() -> None:
+    """The one that followed the other one waits before it begins."""
+    bricks = tuple(Brick((0, 0, 3 * z), (2, 4, 3), str(z)) for z in range(3))
+    tower = assembly_of(BrickModel(bricks), load_kit("lego"), "tower")
+    plan = l2a.build(tower, arm=("panda", "panda"), tool="socket")
+    assert plan.complete
+    arms = [arm_of(record.arm) for record in plan.records]
+    made = [make_program(*one) for one in zip(plan.records, arms, strict=True)]
+    programs = with_waits((made[0], made[1]), (arms[0], arms[1]))
+    assert min(asynchronous(programs, arms, seed) for seed in range(4)) > KEPT
 
 
 def test_each_arm_gets_a_program_that_says_what_it_waits_for(

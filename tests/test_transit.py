@@ -252,6 +252,10 @@ def test_a_build_takes_low_ways_and_waits_above_the_next_object() -> None:
     for one, other in ((low.plan.pick, high.plan.pick), (low.plan.leave, high.plan.leave)):
         assert len(one.joints) <= len(other.joints)
     assert len(low.plan.leave.joints) < len(high.plan.leave.joints)
+    home = prepare(PANDA, world, order, PANDA.home, True, low=True)
+    assert (home.across == low.across).all()
+    assert len(home.plan.leave.joints) < len(high.plan.leave.joints)
+    np.testing.assert_allclose(home.home[-1], PANDA.home)
     checker = WorldChecker(PANDA, world, order.poses, order.names)
     checker.carry(order.target, *order.in_hand(low.plan.move.grasp), order.held)
     assert all(checker.blocked(a, b) is None for a, b in pairwise(low.across))

@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from learn2assemble.cell.pieces import middle_of
 from learn2assemble.cell.structure import Structure
-from learn2assemble.cell.workcell import DOWN, Direction, Job, Progress, StepOf
+from learn2assemble.cell.workcell import DOWN, Direction, Job, Offset, Progress, StepOf
 from learn2assemble.cell.world import (
     RETURNED,
     STANDING,
@@ -245,6 +246,16 @@ def describe(found: Attempt) -> str:
     return f"{found.outcome.label} ({found.stage}): {found.detail}"
 
 
+def from_end_to_end(job: Job) -> np.ndarray:
+    """float64[2]: unit vector across the line between two arms, along which they are in each
+    other's way least: from the end of the structure from which the first one builds to the other
+    one; the same for both."""
+    out = job.base - middle_of(job.pieces)
+    along = np.array([-out[1], out[0]])
+    along = along / max(float(np.linalg.norm(along)), 1e-9)
+    return -along if along[np.argmax(np.abs(along))] < 0 else along
+
+
 def put_beside(world: WorkcellBlocks, steps: Sequence[StepOf]) -> None:
     """Blocks are to be built beside, where steps say so."""
     for step in steps:
@@ -276,8 +287,8 @@ def steps_before(job: Job, structure: Structure, steps: Sequence[StepOf]) -> Wai
 def _as_found(job: Job) -> Waits:
     """By step, the earlier ones that are near: where bricks are held by fingers between others,
     and how far what stands bears a press, hangs on what is there already. What is taken away goes
-    before lower blocks near it come or go. Of what is built beside one part comes after the other,
-    as their places on the table may be the same."""
+    before lower blocks near it come or go. What is built beside comes as was found, part by part
+    where these are built on one spot of the table."""
     world, beside = WorkcellBlocks(job), 0.0 if job.arm.suction else FINGERS
     put_beside(world, job.steps)
     parts, owner = list[np.ndarray](), list[int]()
@@ -292,8 +303,7 @@ def _as_found(job: Job) -> Waits:
     gone = np.array([job.steps[number].remove for number in owner], bool)
     rise = np.where(gone[:, None] | gone, np.abs(rise), rise)
     near = gap.max(2) < np.maximum(np.minimum(BESIDE * rise, HAND), beside)
-    apart = np.array([_apart(job.steps[number]) for number in owner], bool)
-    near |= apart[:, None] & apart
+    near |= _on_one_spot(job)[np.ix_(owner, owner)]
     found: Waits = {}
     for one, other in np.argwhere(near).tolist():
         if owner[other] < owner[one]:
@@ -301,9 +311,26 @@ def _as_found(job: Job) -> Waits:
     return found
 
 
-def _apart(step: StepOf) -> bool:
-    """Whether a step is of a part that is built beside."""
-    return step.beside is not None or bool(step.group)
+def _spots(step: StepOf) -> list[Offset]:
+    """Where on the table a step builds beside, or takes what was built there, as how far that is
+    from its place."""
+    return [step.beside] * (step.beside is not None) + [step.whence] * bool(step.group)
+
+
+def _on_one_spot(job: Job) -> np.ndarray:
+    """bool[s, s]: whether two steps are of parts that are built beside on one spot of the table, or
+    on two that a hand does not fit between."""
+    at = {spot: n for n, spot in enumerate({spot for step in job.steps for spot in _spots(step)})}
+    lies = np.zeros((len(job.steps), len(at)), bool)
+    low, high = np.full((len(at), 2), np.inf), np.full((len(at), 2), -np.inf)
+    for number, step in enumerate(job.steps):
+        for spot in _spots(step):
+            lies[number, at[spot]] = True
+            ends = np.array([job.pieces[k].extent for k in (step.block, *step.group)])[..., :2]
+            low[at[spot]] = np.minimum(low[at[spot]], ends[:, 0].min(0) + spot[:2])
+            high[at[spot]] = np.maximum(high[at[spot]], ends[:, 1].max(0) + spot[:2])
+    near = (np.maximum(low[:, None] - high, low - high[:, None]) < HAND).all(2)
+    return (lies.astype(int) @ near @ lies.T) > 0
 
 
 def lower_beside(job: Job) -> dict[int, set[int]]:

@@ -352,8 +352,9 @@ class Attempts:
         if self.planner is not None:
             world = self.planner.world(order.objects, order.scene.studs)
             lean_table(world.plan, order.scene.table)
-            near = self.near
-            return prepare(self.job.arm, world, order, joints, True, following, near), world
+            # Where another arm waits for its turn, high ways would take its time, too.
+            low, near = self.coordinator is not ALONE, self.near
+            return prepare(self.job.arm, world, order, joints, True, following, near, low), world
         return straight(self, order, joints), None
 
 

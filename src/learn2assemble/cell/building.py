@@ -277,11 +277,7 @@ class Building:
         somebody comes near before."""
         if self.goes_home:
             return None
-        others = {k} | self.known.elsewhere
-        left = (
-            s for s in self.known.order if s.block not in others and not self.known.satisfied(s)
-        )
-        step = next(left, None)
+        step = self.known.next_after(k)
         if step is None or step.remove or step.group or step in self.known.by_hand:
             return None
         world, sources = self.world, supply_of(self.world, step.block)

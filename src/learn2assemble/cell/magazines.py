@@ -42,6 +42,10 @@ is missing of it so many times."""
 HAND_CLEAR, HAND_SIDE = 0.14, 0.25
 """Between magazines and the structure, and on its own side of the middle, where bricks are held by
 fingers this way and that, whose hand is wide [m]."""
+ASIDE = 1.0
+"""Of two arms that build bricks, each pays so many times for what a magazine is to the right of the
+middle: with all of its magazines to its left no way between two of them leads past what is built,
+and the other arm, which faces it, comes from the opposite corner."""
 OVERHEAD = 0.5
 """Blocks may wait below obstacles that begin above this [m]."""
 GRID, MOST_TRIED = 0.04, 150
@@ -181,6 +185,8 @@ def _magazine_places(
         way = (across - job.base) / max(float(np.linalg.norm(across - job.base)), 1e-9)
         own = HAND_SIDE if job.assembly.holds else OWN_SIDE
         cost += BEYOND * np.maximum((grid - (job.base + across) / 2) @ way + own, 0.0)
+        if job.assembly.holds:
+            cost += ASIDE * np.maximum((grid - middle) @ np.array([way[1], -way[0]]), 0.0)
     mine = slice(-len(shape), None)
     tried = 0
     for x, y in grid[np.argsort(cost, kind="stable")].tolist():

@@ -17,6 +17,7 @@ from learn2assemble.cell.arrange import (
     Arranged,
     Hands,
     arrange,
+    from_end_to_end,
     put_beside,
     try_step,
     where_pressed,
@@ -202,8 +203,9 @@ def shared_out(
 ) -> tuple[StepOf, ...]:
     """The steps as an arm prefers them: level by level, what the other arm cannot do before the
     rest, so that neither has much left when the other one is done; and from its end of the
-    structure, so that the other arm, which begins at the other end, is far away. What stood before
-    goes first, from above. As they are where blocks lean or props are taken away.
+    structure, so that the other arm, which begins at the other end, is far away. What is built
+    beside comes first on its own side, and last nearer to the other arm. What stood before goes
+    first, from above. As they are where blocks lean or props are taken away.
 
     Args:
         others: what the other arm can do.
@@ -211,18 +213,22 @@ def shared_out(
     if structure.leans or any(s.remove and s.block not in job.standing for s in steps):
         return tuple(steps)
     where = np.array([piece.target for piece in job.pieces])
-    # Across the line between the arms they are in each other's way least.
-    out = job.base - middle_of(job.pieces)
-    along = np.array([-out[1], out[0]])
-    along = along / max(float(np.linalg.norm(along)), 1e-9)
-    if along[np.argmax(np.abs(along))] < 0:
-        along = -along
+    along, middle = from_end_to_end(job), middle_of(job.pieces)
     way = -1.0 if number else 1.0
 
-    def key(step: StepOf) -> tuple[bool, float, bool, float]:
+    def beside(step: StepOf) -> float:
+        """1 for what is built beside, or taken from there, nearer to the other arm, -1 where that
+        is nearer to this one; 0 for everything else."""
+        spot = step.whence if step.group else step.beside
+        if spot is None:
+            return 0.0
+        there = where[step.block, :2] + spot[:2] - middle
+        return 1.0 if there @ (job.base - middle) < 0 else -1.0
+
+    def key(step: StepOf) -> tuple[bool, float, float, bool, float]:
         level = round(float(job.pieces[step.block].extent[0][2]), 4)
         end = round(way * float(where[step.block, :2] @ along), 6)
-        return not step.remove, -level if step.remove else level, step in others, end
+        return not step.remove, beside(step), -level if step.remove else level, step in others, end
 
     return tuple(sorted(steps, key=key))
 

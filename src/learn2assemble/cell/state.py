@@ -211,6 +211,23 @@ class Choice:
         after = f"; {waiting} more wait{'s' * (waiting == 1)} for that" if waiting else ""
         return f"{piece.id} ({piece.name}){others} cannot be placed: {blocked[number]}{after}"
 
+    def next_after(self, block: int) -> StepOf | None:
+        """The step that comes next, as a rule, when a block is in its place: of bricks that clutch,
+        the first one for which nothing is missing then, if there is one."""
+        others = {block} | self.elsewhere
+        left = [s for s in self.order if s.block not in others and not self.satisfied(s)]
+        if self.structure.studs() is not None:
+            there = self.standing() | {k for k in others if k < len(self.job.pieces)}
+            left = [step for step in left if self._comes(step, others, there)] or left
+        return next(iter(left), None)
+
+    def _comes(self, step: StepOf, others: set[int], there: set[int]) -> bool:
+        """Whether nothing is missing for a step when some pieces are there and steps with others
+        are done."""
+        before = self.waits.get(step, ())
+        done = all(self.satisfied(one) or one.block in others for one in before)
+        return done and not self._missing(step, there)
+
     def bears(self, step: StepOf, standing: set[int]) -> bool:
         """Whether a step may be done: everything stands then, whether what another arm is about to
         place or take away is there or not."""

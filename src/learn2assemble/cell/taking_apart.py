@@ -22,9 +22,9 @@ import numpy as np
 
 from learn2assemble.assembly.blocks import AssemblyStep
 from learn2assemble.assembly.bricks.lattice import GROUND
-from learn2assemble.cell.arrange import Arranged, Hands, try_step, where_pressed
+from learn2assemble.cell.arrange import Arranged, Hands, from_end_to_end, try_step, where_pressed
 from learn2assemble.cell.bricks import BrickStates, BrickStructure
-from learn2assemble.cell.workcell import ROOMS, Offset, Progress, StepOf
+from learn2assemble.cell.workcell import ROOMS, Job, Offset, Progress, StepOf
 from learn2assemble.cell.world import STANDING, WorkcellBlocks
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.sequence import depth_first
@@ -48,6 +48,10 @@ LEVEL = 1e-4
 """Bricks whose lowest points differ by less in height stand on one level [m]."""
 APART, GRID = 0.05, 0.04
 """Between what is built beside and everything else, and between places that are tried [m]."""
+
+OWN_SIDE = 0.1, 0.18
+"""What one of two arms builds beside is so far on its own side of the middle, and rather farther
+[m]: wrists are so wide."""
 
 
 There = tuple[tuple[Offset | None, frozenset[int]], ...]
@@ -361,8 +365,10 @@ class _Disassembly:
         return 0.0 if at is None else round(math.hypot(*at), 3)
 
     def _places(self, bricks: tuple[int, ...], part: _Subassembly) -> Iterator[Offset]:
-        """Where on the table some bricks of a part may be built, the nearest places first."""
+        """Where on the table some bricks of a part may be built: between two arms some on the side
+        of one of them, then the nearest places."""
         import shapely
+        from shapely.affinity import translate
 
         jobs = [one.job for one in self.arms]
         pieces = jobs[0].pieces
@@ -371,7 +377,7 @@ class _Disassembly:
         most, outer = MOST_PLACES, part
         while outer.beside is not None and outer.within is not None:
             x, y, _ = outer.beside
-            lying += [shapely.affinity.translate(pieces[k].face(), x, y) for k in outer.bricks]
+            lying += [translate(pieces[k].face(), x, y) for k in outer.bricks]
             most, outer = PLACES_WITHIN, outer.within
         taken = shapely.union_all(lying).buffer(APART)
         face = shapely.union_all([pieces[b].face() for b in bricks])
@@ -382,13 +388,12 @@ class _Disassembly:
         there = np.array([np.linalg.norm(middle + shifts - job.base, axis=1) for job in jobs])
         shifts = shifts[(there > 0.3).all(0) & (there < 0.65).any(0)]
         shifts = shifts[np.argsort(np.linalg.norm(shifts, axis=1), kind="stable")]
-        found = 0
-        for x, y in shifts.round(6).tolist():
-            if not shapely.affinity.translate(face, x, y).intersects(taken):
-                yield x, y, -ground
-                found += 1
-                if found >= most:
-                    return
+        free = [s for s in shifts.round(6).tolist() if not translate(face, *s).intersects(taken)]
+        if len(jobs) == 2:
+            side = _on_own_side(middle, jobs, middle + np.array(free).reshape(-1, 2))
+            own = np.argsort(-side.clip(*OWN_SIDE), kind="stable")[: most // 2].tolist()
+            free = [free[k] for k in dict.fromkeys([*own, *range(len(free))])]
+        yield from ((x, y, -ground) for x, y in free[:most])
 
     # ------------------------------------------------------------ the arm
 
@@ -418,3 +423,20 @@ class _Disassembly:
         if why is not None:
             self.why[step.block] = why
         return why is None
+
+
+def _on_own_side(part: np.ndarray, jobs: Sequence[Job], there: np.ndarray) -> np.ndarray:
+    """float64[k]: how far places on the table are on the side of the arm that builds from the end
+    of the structure at which a part is, so that the other arm may build another part meanwhile [m].
+
+    Args:
+        part: float64[2], middle of the part in its place [m].
+        jobs: of both arms.
+        there: float64[k, 2], of the places [m].
+    """
+    first, second = (job.base for job in jobs)
+    way = (second - first) / max(float(np.linalg.norm(second - first)), 1e-9)
+    ends = np.array([piece.extent for piece in jobs[0].pieces])[..., :2]
+    middle = (ends[:, 0].min(0) + ends[:, 1].max(0)) / 2
+    end = (part - middle) @ from_end_to_end(jobs[0]) > 1e-6
+    return (there - (first + second) / 2) @ (way if end else -way)

@@ -24,7 +24,7 @@ from learn2assemble.cell.journal import append_state, last_joints, packed, read_
 from learn2assemble.cell.pair import Pair
 from learn2assemble.cell.state import Done
 from learn2assemble.cell.traffic import APART, Leg, Route
-from learn2assemble.cell.workcell import Workcell
+from learn2assemble.cell.workcell import Offset, Workcell
 from learn2assemble.cell.world import STANDING, STOCK
 from learn2assemble.motion.plant import Plant, Readings
 from learn2assemble.planning.plan import Plan
@@ -52,6 +52,12 @@ class SharedCell(Protocol):
         ...
 
     @property
+    def piecewise(self) -> bool:
+        """Whether a motion may be told piece by piece, each beginning with the velocity with which
+        the one before has ended."""
+        ...
+
+    @property
     def clock(self) -> Turns:
         """The time they share."""
         ...
@@ -66,29 +72,44 @@ class SharedCell(Protocol):
 
 
 class Assumed(NamedTuple):
-    """A block of the other arm that is taken to stand already, and what was known before."""
+    """Blocks of the other arm that are taken to stand already, and what was known before."""
 
-    block: int
+    blocks: tuple[int, ...]
     pose: np.ndarray
-    """float64[7]: where it was."""
+    """float64[k, 7]: where each was."""
+    states: tuple[int, ...]
+    beside: np.ndarray
+    """float64[k, 3]: how far from its place each was to be [m]."""
     joints: frozenset[tuple[int, int]]
     """Joints of studs that are taken to be home."""
 
 
-def assume(building: Building, block: int) -> Assumed:
-    """An arm takes a block of the other one, from its magazine, to stand in its place."""
-    world = building.world
-    joints = building.known.structure.made_by(block, world) - world.home
-    before = Assumed(block, world.pose[block].copy(), frozenset(joints))
-    world.pose[block], world.state[block] = world.target(block), STANDING
+def assume(building: Building, blocks: Sequence[int], to: Offset | None = None) -> Assumed:
+    """An arm takes what the other one moves to stand in its place.
+
+    Args:
+        blocks: one that comes from its magazine, or those that come together.
+        to: how far from their places these come.
+    """
+    world, some = building.world, list(blocks)
+    states = tuple(world.state[k] for k in some)
+    pose, beside = world.pose[some].copy(), world.beside[some].copy()
+    if to is not None:
+        world.beside[some] = to
+    for k in some:
+        world.pose[k], world.state[k] = world.target(k), STANDING
+    made_by = building.known.structure.made_by
+    joints = set[tuple[int, int]]().union(*(made_by(k, world) for k in some)) - world.home
     world.home |= joints
-    return before
+    return Assumed(tuple(some), pose, states, beside, frozenset(joints))
 
 
 def forget(building: Building, assumed: Assumed) -> None:
     """It does not any more."""
-    world = building.world
-    world.pose[assumed.block], world.state[assumed.block] = assumed.pose, STOCK
+    world, some = building.world, list(assumed.blocks)
+    world.pose[some], world.beside[some] = assumed.pose, assumed.beside
+    for k, state in zip(some, assumed.states, strict=True):
+        world.state[k] = state
     world.home -= assumed.joints
 
 

@@ -31,8 +31,8 @@ from learn2assemble.cell.telling import (
     take_up,
     tell,
 )
-from learn2assemble.cell.traffic import ArmInTraffic, Route, Traffic
-from learn2assemble.cell.workcell import Progress, Workcell
+from learn2assemble.cell.traffic import BEHIND, ArmInTraffic, Route, Traffic
+from learn2assemble.cell.workcell import Offset, Progress, Workcell
 from learn2assemble.cell.world import STANDING, STOCK, rows_of
 from learn2assemble.motion.plant import Plant, PlantError, standing
 from learn2assemble.motion.record import RATE, BuildRecord
@@ -112,11 +112,14 @@ class Together(Generic[Cell]):
         self.journal, kept = journal, list[dict[str, Any]]()
         if journal is not None:
             kept = journal.read(self.plant, (first, second))
+        # What is slowed down for a rule of the layout is told whole.
+        piecewise = through is None and crew.workcells[0].site.safety.speed is None
+        piecewise = piecewise and self.plant.piecewise
         through = through or crew.guarded
         mine, other = (through(*one) for one in enumerate(self.plant.plants))
         self.arms: tuple[ArmInTraffic, ArmInTraffic] = (
-            ArmInTraffic(mine, self.traffic, 0, other),
-            ArmInTraffic(other, self.traffic, 1, mine),
+            ArmInTraffic(mine, self.traffic, 0, other, piecewise),
+            ArmInTraffic(other, self.traffic, 1, mine, piecewise),
         )
         self.worked: tuple[Worked, ...] = tuple(
             self._worker(*one, Witness(self.plant)) for one in zip(*crew, self.arms, strict=True)
@@ -145,6 +148,8 @@ class Together(Generic[Cell]):
         """The piece that each arm moves, or was the last to, ..."""
         self.along: list[tuple[int, ...]] = [(), ()]
         """... and what that brings along."""
+        self.to: list[Offset | None] = [None, None]
+        """How far from their places these are to come; None: a block that comes alone."""
         self.picks: list[int | None] = [None, None]
         """The piece of the attempt that each arm begins, before it says so: where readings are not
         exact, it takes time to see what a magazine presents."""
@@ -258,8 +263,10 @@ class Together(Generic[Cell]):
             return False
         building, world = self.buildings[who], self.buildings[who].world
         before, begin = list(world.state), building.plant.sense().time
-        if self.assumes[who] is not None:
-            before[self.moves[1 - who]] = STOCK
+        assumed = self.assumes[who]
+        if assumed is not None:
+            for k, state in zip(assumed.blocks, assumed.states, strict=True):
+                before[k] = state
         elif self._expects(who):
             # Whatever comes of it, its ways are to be free.
             self._assume(who)
@@ -268,6 +275,7 @@ class Together(Generic[Cell]):
         building.sight.carried = {self.moves[1 - who], *self.along[1 - who]} if moves else set()
         building.stood = self._stood(who, begin)
         self.picks[who], self.along[who] = action.block, action.group
+        self.to[who] = action.to if action.group else None
         count = len(building.known.done)
         try:
             acted = building.act(action)
@@ -368,8 +376,12 @@ class Together(Generic[Cell]):
                 known.elsewhere, known.postponed = set(self.lost), set(tried)
                 known.refused = {}
                 action, fails = known.choose(), known.fails.copy()
-                if not isinstance(action, Action) or action.what != "place":
+                if not isinstance(action, Action) or action.what not in ("place", "attach"):
                     return False
+                if self.moves[1 - who] in (action.block, *action.group):
+                    # It is lifted off its table when what it brings along is there.
+                    tried.add(action.block)
+                    continue
                 self.after[who] = route
                 if self._act(who, action, progress):
                     return True
@@ -382,15 +394,20 @@ class Together(Generic[Cell]):
             building.chosen, self.after[who] = _nothing, None
 
     def _expects(self, who: int) -> bool:
-        """Whether the other arm is about to place a block that comes from its magazine."""
-        first = self.moves[1 - who]
-        stock = self.buildings[who].world.state[first] == STOCK
-        return self.traffic.other(who).route is not None and first not in self.lost and stock
+        """Whether the other arm is about to place a block that comes from its magazine, or several
+        that it has lifted off where they were built."""
+        first, other = self.moves[1 - who], self.traffic.other(who)
+        if other.route is None or first in self.lost:
+            return False
+        if self.along[1 - who]:
+            return other.on_route and other.holding and other.stage in BEHIND
+        return self.buildings[who].world.state[first] == STOCK
 
     def _assume(self, who: int) -> None:
-        """An arm takes the block that the other one moves to stand already."""
+        """An arm takes what the other one moves to stand already."""
         if self.assumes[who] is None:
-            self.assumes[who] = assume(self.buildings[who], self.moves[1 - who])
+            blocks = self.moves[1 - who], *self.along[1 - who]
+            self.assumes[who] = assume(self.buildings[who], blocks, self.to[1 - who])
 
     def _forget(self, who: int) -> None:
         """It does not any more."""

@@ -59,6 +59,8 @@ BEHIND = ("cross", "place")
 across."""
 HALTS = 0.9, 0.8, 0.7, 0.6, 0.5, 0.4
 """Shares of a straight part of the way across after which an arm may wait for the other one."""
+FLOWING = (*HALTS, 0.3, 0.2, 0.1)
+"""The same of an arm that goes on where it may, without a stop."""
 SHORT = 0.15
 """No joint turns by more on a part that has no halt [rad]."""
 PLACED = 0.005
@@ -321,10 +323,12 @@ class Traffic:
         lane.ahead = *lane.ahead[:k], *legs, *lane.ahead[k + count :]
         self.changes += 1
 
-    def halt(self, who: int, start: np.ndarray, end: np.ndarray) -> float:
+    def halt(
+        self, who: int, start: np.ndarray, end: np.ndarray, shares: Sequence[float] = HALTS
+    ) -> float:
         """How far an arm with something in its hand may go now on a straight part of the way
-        across, from joints float64[n] to others [rad], and wait there: a share of :data:`HALTS`, 1
-        where it need not wait, 0 where it may not go so far."""
+        across, from joints float64[n] to others [rad], and wait there: one of the shares, 1 where
+        it need not wait, 0 where it may not go so far."""
         lane = self.lanes[who]
         stages = [leg.stage for leg in lane.ahead]
         if not lane.on_route or BEHIND[0] not in stages:
@@ -333,12 +337,30 @@ class Traffic:
         whole = lane.swept(np.stack([start, end]))
         if lane.behind is None and self._may(who, whole, after, True):
             return 1.0
-        for share in HALTS:
+        for share in shares:
             there = start + share * (end - start)
             legs = self._rest(lane, there, end), *after
             if self._may(who, lane.swept(np.stack([start, there])), legs, True):
                 return share
         return 0.0
+
+    def goes_on(self, who: int, now: np.ndarray, there: np.ndarray, end: np.ndarray) -> bool:
+        """Whether an arm that is at joints float64[n] on a straight part of the way across, and
+        comes to rest on that, may go to others, or to the end of that [rad]; if so, what it sweeps
+        is its own."""
+        lane = self.lanes[who]
+        if lane.in_vain or (there is end and lane.behind is not None):
+            return False
+        # The first one is what is left of this part, where it has begun.
+        after = lane.ahead[[leg.stage for leg in lane.ahead].index(BEHIND[0]) + 1 :]
+        ahead = after if there is end else (self._rest(lane, there, end), *after)
+        swept = lane.swept(np.stack([now, there]))
+        if not self._may(who, swept, ahead, True):
+            return False
+        lane.here, lane.ahead, lane.stage = swept, ahead, BEHIND[0]
+        lane.moving, lane.tries = True, None
+        self.changes += 1
+        return True
 
     @staticmethod
     def _rest(lane: Lane, there: np.ndarray, end: np.ndarray) -> Leg:
@@ -458,15 +480,21 @@ class ArmInTraffic(WrappedPlant, Coordinator):
         traffic: who may.
         who: number of the arm.
         other: plant of the other arm, which tells where that is.
+        piecewise: whether motions are told the plant piece by piece.
     """
 
     traffic: Traffic
     who: int
     other: Plant
 
-    def __init__(self, plant: Plant, traffic: Traffic, who: int, other: Plant) -> None:
+    def __init__(
+        self, plant: Plant, traffic: Traffic, who: int, other: Plant, piecewise: bool = False
+    ) -> None:
         super().__init__(plant)
         self.traffic, self.who, self.other = traffic, who, other
+        self.piecewise = piecewise
+        self.flowing: np.ndarray | None = None
+        """float64[n]: joints to which it may go on [rad]; None: it is not on such a way."""
         self.waited: float = 0.0
         """For the other arm, all in all [s]."""
 
@@ -481,19 +509,39 @@ class ArmInTraffic(WrappedPlant, Coordinator):
         known = lane.halt is not None and np.array_equal(lane.halt[1], end)
         if known or not lane.holding or lane.in_vain or np.abs(end - start).max() < SHORT:
             return None
-        lane.halt, share = None, traffic.halt(self.who, start, end)
+        self._look_past()
+        lane.halt, shares = None, FLOWING if self.piecewise else HALTS
+        share = traffic.halt(self.who, start, end, shares)
         if share == 1.0:
             return None
-        if share:
-            lane.halt = start + share * (end - start), end
-            return lane.halt[0]
+        there = start + share * (end - start)
+        if share and not self.piecewise:
+            lane.halt = there, end
+            return there
+        if share and traffic.goes_on(self.who, start, there, end):
+            self.flowing = there
+            return there
         lane.refused = traffic.changes
         if traffic.stuck(self.who):
             return None
-        if traffic.other(self.who).moving:
-            traffic.passes(1 - self.who, self.other.sense().joints)
+        self._look_past()
         self.waited += PAUSE
         return start
+
+    def farther(self, now: np.ndarray, there: np.ndarray, end: np.ndarray) -> np.ndarray | None:
+        """See :class:`~learn2assemble.simulation.execution.Coordinator`."""
+        self._look_past()
+        for share in (1.0, *FLOWING):
+            farther = end if share == 1.0 else there + share * (end - there)
+            if self.traffic.goes_on(self.who, now, farther, end):
+                self.flowing = farther
+                return farther
+        return None
+
+    def _look_past(self) -> None:
+        """See what the other arm has passed."""
+        if self.traffic.other(self.who).moving:
+            self.traffic.passes(1 - self.who, self.other.sense().joints)
 
     def sense(self) -> Readings:
         """What is sensed, but what the other arm moves, or moved when it was stopped."""
@@ -511,6 +559,13 @@ class ArmInTraffic(WrappedPlant, Coordinator):
         moves = moves and bool((np.ptp(motion.joints, axis=0) > STANDS).any())
         kept = (Guard(hold="kept"),) if any(one.hold == "kept" for one in guards) else ()
         waited: list[Report] = []
+        if self.flowing is not None and motion.stage == BEHIND[0]:
+            # What it sweeps is its own already.
+            report = self.plant.execute(motion, commands, guards)
+            if report.stop != Stop.END or np.abs(report.joints - self.flowing).max() < STANDS:
+                self.flowing = None
+                self.traffic.stands(self.who, report.joints, lane.holding)
+            return report
         while moves:
             if lane.in_vain and motion.stage in BEHIND:
                 lane.in_vain = False  # As below.
@@ -523,8 +578,7 @@ class ArmInTraffic(WrappedPlant, Coordinator):
                 self.traffic.leaves_route(self.who)
                 raise Failure(Outcome.UNREACHABLE, motion.stage, IN_THE_WAY)
             report = self.plant.execute(standing(motion.stage, motion.joints[0], PAUSE), (), kept)
-            if self.traffic.other(self.who).moving:
-                self.traffic.passes(1 - self.who, self.other.sense().joints)
+            self._look_past()
             waited.append(report)
             self.waited += report.seconds
             if report.stop != Stop.END:

@@ -46,6 +46,8 @@ class Robots:
     """
 
     plants: Sequence[OneOfRobots]
+    piecewise: bool = False
+    """Each motion is a program of its own."""
 
     def __init__(
         self,

@@ -2,19 +2,20 @@
 
 Two arms have built at the same time, on one clock that robots do not share. What has to be kept of
 their order is a graph between their motions (an action dependency graph, Hönig et al. 2019): a
-motion waits for those of the other arm that began before it where both would come nearer to each
-other than the arms keep, whatever each is doing of its way when; and what touches the structure
-waits for all that the other arm had changed in it by then. What is done by hand, for which one of
-the two programs asks, waits for all that the other arm began before, and all that it began later
-waits for that: somebody is in the cell. Whatever else each does when it may, so one that is late,
-or stopped, leaves the other one safe. Nothing waits for what began after it, so
-one of them can always go on.
+motion waits for those of the other arm that began before it, or before it went on without a stop,
+where both would come nearer to each other than the arms keep, whatever each is doing of its way
+when; and what touches the structure waits for all that the other arm had changed in it by then.
+What is done by hand, for which one of the two programs asks, waits for all that the other arm began
+before, and all that it began later waits for that: somebody is in the cell. Whatever else each does
+when it may, so one that is late, or stopped, leaves the other one safe. Nothing waits for what
+began after it went on, so one of them can always go on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +38,8 @@ EVERY = 5
 straight line between two that are left."""
 AT_THE_STRUCTURE = ("cross", "place")
 """Stages in which a block comes to what stands there."""
+MOMENTS = 9
+"""At which it is looked whether a motion was on what was left of another one."""
 BY_HAND = 1.0
 """In a program, what is done by hand takes so long [s]: it ends after it begins, whatever waits."""
 BEFORE = 0.02
@@ -65,6 +68,8 @@ class _Span(NamedTuple):
     """Of a motion, with what is held."""
     hand: str = ""
     """What is done by hand, in words."""
+    left: Callable[[float], Sweep] | None = None
+    """Of a motion, what is left of that at a time [s], on the clock that both had."""
 
 
 def with_waits(programs: tuple[Program, Program], arms: tuple[Arm, Arm]) -> tuple[Program, Program]:
@@ -239,9 +244,24 @@ def _comes_first(other: _Span, part: _Span, before: bool) -> bool:
     if bool(other.hand) != bool(part.hand):
         hand, arm = (other, part) if other.hand else (part, other)
         return (arm.began <= hand.began - BEFORE) != bool(other.hand)
+    follows = _follows(part, other)
+    if follows != _follows(other, part):
+        return follows
     if other.began != part.began:
         return other.began < part.began
     return not before or _is_tool(other) > _is_tool(part)
+
+
+def _follows(one: _Span, other: _Span) -> bool:
+    """Whether a motion that began sooner than another one, or at once, went on where that had been,
+    without a stop: then it has never been on what was left of that."""
+    began, ended = other.began, min(one.ended, other.ended)
+    if one.left is None or other.left is None or not one.began <= began < ended:
+        return False
+    if clear(one.left(began), other.left(began), APART):
+        return False
+    times = np.linspace(began, ended, MOMENTS).tolist()
+    return all(clear(one.left(time).begin, other.left(time), APART) for time in times)
 
 
 def _is_tool(part: _Span) -> bool:
@@ -267,7 +287,9 @@ def _parts(program: Program, arm: Arm) -> Iterator[_Span]:
         step, stage = program.steps[k], STAGES[int(program.stage[a])]
         holds = step.held is not None and step.held[0] < (time[a] + time[b]) / 2 < step.held[1]
         joints = program.knots.position[a : b + 1]
-        joints = np.vstack([joints[:-1:EVERY], joints[-1:]])
+        times = np.append(clock[a:b:EVERY], clock[b])
+        joints = np.ascontiguousarray(np.vstack([joints[:-1:EVERY], joints[-1:]]))
+        capsules = held[k] if holds else own
         taken = step.pick is None and stage in TAKING
         made.append(
             _Span(
@@ -277,7 +299,8 @@ def _parts(program: Program, arm: Arm) -> Iterator[_Span]:
                 float(time[b]),
                 taken or stage in AT_THE_STRUCTURE,
                 (taken and holds) or stage == "place",
-                sweep(arm, held[k] if holds else own, np.ascontiguousarray(joints)),
+                sweep(arm, capsules, joints),
+                left=partial(_left, arm, capsules, joints, times),
             )
         )
     for hand, halt in program.asks:
@@ -298,6 +321,13 @@ def _parts(program: Program, arm: Arm) -> Iterator[_Span]:
             made.append(_Span(when, when, state.time, on, touches, touches))
         was_closed = closed
     return iter(sorted(made, key=lambda part: part.begin))
+
+
+def _left(arm: Arm, capsules: Capsules, joints: np.ndarray, times: np.ndarray, now: float) -> Sweep:
+    """What is left at a time [s] of a motion through joints float64[k, n] [rad] at times float64[k]
+    [s]."""
+    first = max(int(np.searchsorted(times, now, "right")) - 1, 0)
+    return sweep(arm, capsules, joints[first:])
 
 
 def _step_at(program: Program, time: float) -> int:

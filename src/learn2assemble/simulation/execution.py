@@ -78,6 +78,8 @@ NEAR_BY, LEDGE = 0.005, 0.001
 than the bottom of that by more than this [m]."""
 SAME = 1e-6
 """Joints that differ by less are where they should be [rad]."""
+ALIKE = 1e-9
+"""Motions whose joints differ by less have not parted yet [rad]."""
 LANDED = 1.0
 """What rests presses so hard on others [N]: as much as a block weighs."""
 PRESSED = 20.0
@@ -147,6 +149,15 @@ class Coordinator:
     def halt(self, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
         """Of a straight part of the way across, from joints float64[n] to others [rad]: where it is
         to go first; where it is, to wait there for a moment; None: to the end."""
+        return None
+
+    piecewise: bool = False
+    """Whether an arm that is to go somewhere first may find on its way that it may go on, and does
+    so without a stop: its plant is told motions piece by piece."""
+
+    def farther(self, now: np.ndarray, there: np.ndarray, end: np.ndarray) -> np.ndarray | None:
+        """How far it may go on, from joints float64[n] where it is, on its way to others, before it
+        has to brake for these [rad]; None: no farther."""
         return None
 
 
@@ -454,9 +465,44 @@ class Execution:
                 if there is start:
                     self.wait(PAUSE, "cross", guard)
                 else:
-                    start = self._straight(start, there, guard)
-            self._straight(start, end, guard)
+                    start = self._towards(start, there, end, guard)
+                    if start is end:
+                        break
+            else:
+                self._straight(start, end, guard)
             self.segments_done += 1
+
+    def _towards(
+        self, start: np.ndarray, there: np.ndarray, end: np.ndarray, guard: Guard
+    ) -> np.ndarray:
+        """Across along a straight line of the joints float64[n] as far as the arm may go, and on
+        where it may go on before it has to brake; where it stands then."""
+        coordinator = self.rig.coordinator
+        if not coordinator.piecewise:
+            return self._straight(start, there, guard)
+        path, bounds = self.gently(np.stack([start, end]))
+        whole, done = motion(path, bounds, TIMESTEP), 0
+
+        def play(run: PathSamples, until: int) -> None:
+            nonlocal done
+            if until > done:
+                piece = _from_rest("cross", start, run)
+                joints, velocity = (one[done : until + 1] for one in (piece.joints, piece.velocity))
+                self.do(Motion("cross", piece.time[: until + 1 - done], joints, velocity), (guard,))
+                done = until
+
+        while there is not end:
+            share = float(np.abs(there - start).max() / np.abs(end - start).max())
+            part = JointPath(path.knots * share, np.stack([start, there]), path.bend)
+            short = motion(part, bounds, TIMESTEP)
+            play(whole, _alike(whole, short))
+            farther = coordinator.farther(self.joints, there, end)
+            if farther is None:
+                play(short, len(short.position))
+                return there
+            there = farther
+        play(whole, len(whole.position))
+        return end
 
     def _straight(self, start: np.ndarray, end: np.ndarray, guard: Guard) -> np.ndarray:
         """Across along one straight line of the joints; its end."""
@@ -577,6 +623,13 @@ def straight_motion(way: np.ndarray, limits: Limits, stage: str) -> Motion:
     path = joint_path(way, limits)
     run = motion(path, limits_along(path, limits, quickest=True), TIMESTEP)
     return _from_rest(stage, way[0], run)
+
+
+def _alike(one: PathSamples, other: PathSamples) -> int:
+    """In how many samples two motions from the same rest are one."""
+    count = min(len(one.position), len(other.position))
+    same = np.abs(one.position[:count] - other.position[:count]).max(1, initial=0.0) < ALIKE
+    return int(np.argmin(np.r_[same, False]))
 
 
 def _from_rest(stage: str, start: np.ndarray, run: PathSamples) -> Motion:

@@ -52,6 +52,7 @@ class DynamicPlant(DynamicWorld):
     plants: tuple[ArmPlant, ...]  # pyright: ignore[reportIncompatibleVariableOverride]
     simulated: SimulatedState
     acting: ArmInCell
+    piecewise: bool = True
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)

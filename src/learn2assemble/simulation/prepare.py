@@ -82,6 +82,7 @@ def prepare(
     precheck: bool,
     following: np.ndarray | None = None,
     near: np.ndarray | None = None,
+    low: bool = False,
 ) -> Course:
     """The course of an attempt.
 
@@ -95,6 +96,7 @@ def prepare(
             be [m]: the arm takes the shortest ways there are, and waits above that.
         near: float64[n], joints near which the arm shall be when the object is in its place, with
             the hand as ordered [rad]; by default what meets least.
+        low: whether it takes the shortest ways though it waits at home.
 
     Raises:
         Failure: where there is none.
@@ -113,17 +115,16 @@ def prepare(
     plan, across = _across(arm, checker, order, plan)
     checker.empty(order.opening)
     waits = None
+    if (low or following is not None) and len(across) == 2:
+        plan = _lowered(checker, order, plan, start)
+        across = np.array([plan.pick.joints[-1], plan.place.joints[-1]])
     if following is not None:
-        if len(across) == 2:
-            plan = _lowered(checker, order, plan, start)
-            across = np.array([plan.pick.joints[-1], plan.place.joints[-1]])
         waits = _above(checker, plan.pick, following)
         checker.empty(order.opening)
     there = _there(checker, start, plan.pick)
     checker.put(order.target, *placed, order.opening)
-    if waits is None:
-        waits = rest_pose(arm, checker)
-    elif len(across) == 2:
+    low, waits = low or waits is not None, rest_pose(arm, checker) if waits is None else waits
+    if low and len(across) == 2:
         plan = plan._replace(leave=_lowest(plan.leave, lambda q: _free(checker, q, waits)))
     home = free_way(checker, plan.leave.joints[-1], waits, "home")
     return Course(plan, there, across, home)
