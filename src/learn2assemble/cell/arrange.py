@@ -314,7 +314,8 @@ def _as_found(job: Job) -> Waits:
 def _spots(step: StepOf) -> list[Offset]:
     """Where on the table a step builds beside, or takes what was built there, as how far that is
     from its place."""
-    return [step.beside] * (step.beside is not None) + [step.whence] * bool(step.group)
+    beside = [] if step.beside is None else [step.beside]
+    return beside + [step.whence] * bool(step.group)
 
 
 def _on_one_spot(job: Job) -> np.ndarray:
