@@ -310,6 +310,30 @@ def test_an_arm_goes_on_where_it_may_before_it_brakes() -> None:
     assert two.farther(end, end, end) is None
 
 
+def test_an_arm_that_may_go_on_all_the_time_comes_to_rest_before_what_it_waits_for() -> None:
+    """Nothing of what it could still go on by takes any time."""
+    traffic, plant = Traffic(ARMS), Still(RIGHT)
+    one, two = (
+        ArmInTraffic(p, traffic, k, q, True)  # pyright: ignore[reportArgumentType]
+        for k, (p, q) in enumerate([(Still(LEFT), plant), (plant, Still(LEFT))])
+    )
+    corners = [[arm.home + step * np.eye(len(arm.home))[0] for step in (0.1, 0.4)] for arm in ARMS]
+    mine, other = (route(arm, where) for arm, where in zip(ARMS, corners, strict=True))
+    assert traffic.announce(0, mine)
+    assert traffic.announce(1, other, behind=True)
+    one.execute(motion("approach", LEFT.home, corners[0][0]))
+    lane, (start, end) = traffic.lanes[1], corners[1]
+    two.execute(motion("approach", RIGHT.home, start))
+    lane.holding = True
+    there = two.halt(start, end)
+    for _ in range(20):
+        if there is None:
+            break
+        there = two.farther(start, there, end)
+    assert there is None
+    assert lane.behind is mine
+
+
 class May(Coordinator):
     """Lets an arm go on by these shares of its way, one after the other."""
 
