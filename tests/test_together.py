@@ -57,7 +57,7 @@ from learn2assemble.motion.program import Program, make_program, motions
 from learn2assemble.motion.record import find_fault
 from learn2assemble.motion.safety import Box, Safety
 from learn2assemble.motion.waits import APART as KEPT
-from learn2assemble.motion.waits import held_by, on_one_clock, with_waits
+from learn2assemble.motion.waits import _follows, _Span, held_by, on_one_clock, with_waits
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells
@@ -770,6 +770,35 @@ def test_programs_of_arms_that_went_on_without_a_stop_keep_apart() -> None:
     made = [make_program(*one) for one in zip(plan.records, arms, strict=True)]
     programs = with_waits((made[0], made[1]), (arms[0], arms[1]))
     assert min(asynchronous(programs, arms, seed) for seed in range(4)) > KEPT
+
+
+def ball(times: list[float], corners: list[tuple[float, float]]) -> Any:
+    """A motion of a ball of 5 mm along a way on the table, of which it is known where it is at
+    corners."""
+
+    def swept(some: np.ndarray) -> Sweep:
+        far = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(some, axis=0), axis=1))]
+        at = np.union1d(np.arange(0.0, far[-1], 0.005), far)
+        x, y = (np.interp(at, far, one) for one in some.T)
+        points = np.column_stack([x, y, 0 * x])
+        return Sweep(np.stack([points, points], 1)[:, None], np.full(1, 0.005), at[:, None])
+
+    def left(now: float) -> Sweep:
+        first = max(int(np.searchsorted(times, now, "right")) - 1, 0)
+        return swept(np.array(corners)[first:])
+
+    began, ended = times[0], times[-1]
+    whole = swept(np.array(corners))
+    return _Span(began, ended, began, ended, False, False, whole, left=left)
+
+
+def test_a_motion_does_not_wait_for_one_that_came_to_where_it_had_been() -> None:
+    """However near it was to the way of that when it has left."""
+    leaves = ball([0.0, 0.5, 1.0, 3.0], [(0.0, 0.0), (0.0, 0.2), (0.2, 0.2), (0.5, 0.5)])
+    comes = ball([0.9, 1.0, 2.0], [(0.3, 0.1), (0.1, 0.18), (0.0, 0.0)])
+    assert not _follows(leaves, comes)
+    elsewhere = ball([0.9, 1.0, 2.0], [(0.3, 0.1), (0.1, 0.18), (0.1, 0.0)])
+    assert _follows(leaves, elsewhere)
 
 
 def test_each_arm_gets_a_program_that_says_what_it_waits_for(
