@@ -57,7 +57,7 @@ from learn2assemble.motion.program import Program, make_program, motions
 from learn2assemble.motion.record import find_fault
 from learn2assemble.motion.safety import Box, Safety
 from learn2assemble.motion.waits import APART as KEPT
-from learn2assemble.motion.waits import held_by, on_one_clock, with_waits
+from learn2assemble.motion.waits import _follows, _Span, held_by, on_one_clock, with_waits
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells
@@ -308,6 +308,30 @@ def test_an_arm_goes_on_where_it_may_before_it_brakes() -> None:
     # Where what comes before it was not placed it goes no farther.
     lane.in_vain = True
     assert two.farther(end, end, end) is None
+
+
+def test_an_arm_that_may_go_on_all_the_time_comes_to_rest_before_what_it_waits_for() -> None:
+    """Nothing of what it could still go on by takes any time."""
+    traffic, plant = Traffic(ARMS), Still(RIGHT)
+    one, two = (
+        ArmInTraffic(p, traffic, k, q, True)  # pyright: ignore[reportArgumentType]
+        for k, (p, q) in enumerate([(Still(LEFT), plant), (plant, Still(LEFT))])
+    )
+    corners = [[arm.home + step * np.eye(len(arm.home))[0] for step in (0.1, 0.4)] for arm in ARMS]
+    mine, other = (route(arm, where) for arm, where in zip(ARMS, corners, strict=True))
+    assert traffic.announce(0, mine)
+    assert traffic.announce(1, other, behind=True)
+    one.execute(motion("approach", LEFT.home, corners[0][0]))
+    lane, (start, end) = traffic.lanes[1], corners[1]
+    two.execute(motion("approach", RIGHT.home, start))
+    lane.holding = True
+    there = two.halt(start, end)
+    for _ in range(20):
+        if there is None:
+            break
+        there = two.farther(start, there, end)
+    assert there is None
+    assert lane.behind is mine
 
 
 class May(Coordinator):
@@ -746,6 +770,35 @@ def test_programs_of_arms_that_went_on_without_a_stop_keep_apart() -> None:
     made = [make_program(*one) for one in zip(plan.records, arms, strict=True)]
     programs = with_waits((made[0], made[1]), (arms[0], arms[1]))
     assert min(asynchronous(programs, arms, seed) for seed in range(4)) > KEPT
+
+
+def ball(times: list[float], corners: list[tuple[float, float]]) -> Any:
+    """A motion of a ball of 5 mm along a way on the table, of which it is known where it is at
+    corners."""
+
+    def swept(some: np.ndarray) -> Sweep:
+        far = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(some, axis=0), axis=1))]
+        at = np.union1d(np.arange(0.0, far[-1], 0.005), far)
+        x, y = (np.interp(at, far, one) for one in some.T)
+        points = np.column_stack([x, y, 0 * x])
+        return Sweep(np.stack([points, points], 1)[:, None], np.full(1, 0.005), at[:, None])
+
+    def left(now: float) -> Sweep:
+        first = max(int(np.searchsorted(times, now, "right")) - 1, 0)
+        return swept(np.array(corners)[first:])
+
+    began, ended = times[0], times[-1]
+    whole = swept(np.array(corners))
+    return _Span(began, ended, began, ended, False, False, whole, left=left)
+
+
+def test_a_motion_does_not_wait_for_one_that_came_to_where_it_had_been() -> None:
+    """However near it was to the way of that when it has left."""
+    leaves = ball([0.0, 0.5, 1.0, 3.0], [(0.0, 0.0), (0.0, 0.2), (0.2, 0.2), (0.5, 0.5)])
+    comes = ball([0.9, 1.0, 2.0], [(0.3, 0.1), (0.1, 0.18), (0.0, 0.0)])
+    assert not _follows(leaves, comes)
+    elsewhere = ball([0.9, 1.0, 2.0], [(0.3, 0.1), (0.1, 0.18), (0.1, 0.0)])
+    assert _follows(leaves, elsewhere)
 
 
 def test_each_arm_gets_a_program_that_says_what_it_waits_for(

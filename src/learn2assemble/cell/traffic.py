@@ -531,7 +531,9 @@ class ArmInTraffic(WrappedPlant, Coordinator):
     def farther(self, now: np.ndarray, there: np.ndarray, end: np.ndarray) -> np.ndarray | None:
         """See :class:`~learn2assemble.simulation.execution.Coordinator`."""
         self._look_past()
-        for share in (1.0, *FLOWING):
+        # So near to the end it stands: there would be no end of going on by a part of what is left.
+        near = np.abs(end - there).max() <= STANDS
+        for share in (1.0, *(() if near else FLOWING)):
             farther = end if share == 1.0 else there + share * (end - there)
             if self.traffic.goes_on(self.who, now, farther, end):
                 self.flowing = farther

@@ -254,9 +254,16 @@ def _comes_first(other: _Span, part: _Span, before: bool) -> bool:
 
 def _follows(one: _Span, other: _Span) -> bool:
     """Whether a motion that began sooner than another one, or at once, went on where that had been,
-    without a stop: then it has never been on what was left of that."""
+    without a stop: then it has never been on what was left of that. The other one did not come to
+    where this one had been, either: it is over before this one begins."""
     began, ended = other.began, min(one.ended, other.ended)
     if one.left is None or other.left is None or not one.began <= began < ended:
+        return False
+    assert one.swept is not None
+    assert other.swept is not None
+    if not clear(other.swept, one.swept.begin, APART) or not clear(
+        one.swept, other.swept.end, APART
+    ):
         return False
     if clear(one.left(began), other.left(began), APART):
         return False
