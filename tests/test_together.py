@@ -783,9 +783,9 @@ def ball(times: list[float], corners: list[tuple[float, float]]) -> Any:
         points = np.column_stack([x, y, 0 * x])
         return Sweep(np.stack([points, points], 1)[:, None], np.full(1, 0.005), at[:, None])
 
-    def left(now: float) -> Sweep:
-        first = max(int(np.searchsorted(times, now, "right")) - 1, 0)
-        return swept(np.array(corners)[first:])
+    def left(now: float, until: float = np.inf) -> Sweep:
+        first, last = (max(int(np.searchsorted(times, t, "right")) - 1, 0) for t in (now, until))
+        return swept(np.array(corners)[first : last + 1])
 
     began, ended = times[0], times[-1]
     whole = swept(np.array(corners))
@@ -799,6 +799,9 @@ def test_a_motion_does_not_wait_for_one_that_came_to_where_it_had_been() -> None
     assert not _follows(leaves, comes)
     elsewhere = ball([0.9, 1.0, 2.0], [(0.3, 0.1), (0.1, 0.18), (0.1, 0.0)])
     assert _follows(leaves, elsewhere)
+    # Though it is where this one goes when it has ended: it has gone on from there by then.
+    ahead = ball([0.9, 1.0, 2.0], [(0.3, 0.1), (0.1, 0.18), (0.5, 0.5)])
+    assert _follows(leaves, ahead)
 
 
 def test_each_arm_gets_a_program_that_says_what_it_waits_for(

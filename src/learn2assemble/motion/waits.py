@@ -13,10 +13,11 @@ began after it went on, so one of them can always go on.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -49,6 +50,14 @@ TAKING = ("pick", "lift")
 """Stages in which a block leaves what stands there, where it stood there."""
 
 
+class Left(Protocol):
+    """What is left of a motion."""
+
+    def __call__(self, now: float, until: float = math.inf) -> Sweep:
+        """At a time, of what it does until another one [s], on the clock that both had."""
+        ...
+
+
 class _Span(NamedTuple):
     """A motion from rest to rest, or what a tool does between two of them."""
 
@@ -68,8 +77,8 @@ class _Span(NamedTuple):
     """Of a motion, with what is held."""
     hand: str = ""
     """What is done by hand, in words."""
-    left: Callable[[float], Sweep] | None = None
-    """Of a motion, what is left of that at a time [s], on the clock that both had."""
+    left: Left | None = None
+    """Of a motion, what is left of that."""
 
 
 def with_waits(programs: tuple[Program, Program], arms: tuple[Arm, Arm]) -> tuple[Program, Program]:
@@ -254,16 +263,12 @@ def _comes_first(other: _Span, part: _Span, before: bool) -> bool:
 
 def _follows(one: _Span, other: _Span) -> bool:
     """Whether a motion that began sooner than another one, or at once, went on where that had been,
-    without a stop: then it has never been on what was left of that. The other one did not come to
-    where this one had been, either: it is over before this one begins."""
+    without a stop: then it has never been on what was left of that, nor the other one ever where
+    this one had been before."""
     began, ended = other.began, min(one.ended, other.ended)
     if one.left is None or other.left is None or not one.began <= began < ended:
         return False
-    assert one.swept is not None
-    assert other.swept is not None
-    if not clear(other.swept, one.swept.begin, APART) or not clear(
-        one.swept, other.swept.end, APART
-    ):
+    if not clear(one.left(one.began, began), other.left(began), APART):
         return False
     if clear(one.left(began), other.left(began), APART):
         return False
@@ -330,11 +335,18 @@ def _parts(program: Program, arm: Arm) -> Iterator[_Span]:
     return iter(sorted(made, key=lambda part: part.begin))
 
 
-def _left(arm: Arm, capsules: Capsules, joints: np.ndarray, times: np.ndarray, now: float) -> Sweep:
+def _left(
+    arm: Arm,
+    capsules: Capsules,
+    joints: np.ndarray,
+    times: np.ndarray,
+    now: float,
+    until: float = math.inf,
+) -> Sweep:
     """What is left at a time [s] of a motion through joints float64[k, n] [rad] at times float64[k]
-    [s]."""
-    first = max(int(np.searchsorted(times, now, "right")) - 1, 0)
-    return sweep(arm, capsules, joints[first:])
+    [s], until another one."""
+    first, last = (max(int(np.searchsorted(times, t, "right")) - 1, 0) for t in (now, until))
+    return sweep(arm, capsules, joints[first : last + 1])
 
 
 def _step_at(program: Program, time: float) -> int:
