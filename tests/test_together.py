@@ -37,7 +37,7 @@ from learn2assemble.cell.workcell import Workcell, job_of
 from learn2assemble.cell.world import WorkcellBlocks
 from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, Learn2AssembleError
 from learn2assemble.export.ros2 import names_of_two
 from learn2assemble.motion.attempts import merged
 from learn2assemble.motion.driver import arm_of
@@ -53,7 +53,7 @@ from learn2assemble.motion.plant import (
     WrappedPlant,
     standing,
 )
-from learn2assemble.motion.program import Program, make_program, motions
+from learn2assemble.motion.program import Program, Wait, make_program, motions
 from learn2assemble.motion.record import find_fault
 from learn2assemble.motion.safety import Box, Safety
 from learn2assemble.motion.waits import APART as KEPT
@@ -862,6 +862,9 @@ def test_a_bag_has_both_arms_on_one_clock(
         for wait in now.waits:
             assert wait.time >= wait.other - 1e-9
             assert wait.other in together[1 - who].awaited
+    late = [replace(one, waits=(Wait(1.0, 2.0, 1),)) for one in waiting]
+    with pytest.raises(Learn2AssembleError, match="wait for one another for ever"):
+        on_one_clock((late[0], late[1]))
     rested = sum(b.seconds - a.seconds for a, b in zip(waiting, together, strict=True))
     assert rested > 0.01
     bag = l2a.export_program(built[0], "ros2", tmp_path)

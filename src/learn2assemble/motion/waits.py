@@ -21,7 +21,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, Learn2AssembleError
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.knots import Knots
 from learn2assemble.motion.program import Program, Wait, motions
@@ -146,12 +146,20 @@ def on_one_clock(programs: tuple[Program, Program]) -> tuple[Program, Program]:
 
     Args:
         programs: of :func:`with_waits`.
+
+    Raises:
+        Learn2AssembleError: where each waits for what the other one does after it.
     """
     rests = [np.zeros(len(program.waits)) for program in programs]
     begins = [np.array([wait.time for wait in program.waits]) for program in programs]
-    settled = False
+    settled, rounds = False, 2 + 2 * sum(map(len, begins))
     while not settled:
-        settled = True
+        # Times settle along chains of waits, and no chain is longer than there are any.
+        if rounds < 0:
+            raise Learn2AssembleError(
+                "the programs of both arms would wait for one another for ever"
+            )
+        settled, rounds = True, rounds - 1
         for who, program in enumerate(programs):
             for n, wait in enumerate(program.waits):
                 other = begins[1 - who] < wait.other - 1e-9
