@@ -270,17 +270,23 @@ def test_an_arm_that_waits_comes_nearer() -> None:
     assert [leg.stage for leg in lane.ahead] == ["home"]
 
 
-def test_an_arm_goes_on_where_it_may_before_it_brakes() -> None:
-    """What it sweeps is its own then; where it has come to rest, it asks as before."""
+def one_behind_the_other() -> tuple[Traffic, list[ArmInTraffic], list[list[np.ndarray]]]:
+    """Two arms told piece by piece, of which the second one follows, and the corners of both."""
     traffic, plant = Traffic(ARMS), Still(RIGHT)
-    one, two = (
+    arms = [
         ArmInTraffic(p, traffic, k, q, True)  # pyright: ignore[reportArgumentType]
         for k, (p, q) in enumerate([(Still(LEFT), plant), (plant, Still(LEFT))])
-    )
+    ]
     corners = [[arm.home + step * np.eye(len(arm.home))[0] for step in (0.1, 0.4)] for arm in ARMS]
     mine, other = (route(arm, where) for arm, where in zip(ARMS, corners, strict=True))
     assert traffic.announce(0, mine)
     assert traffic.announce(1, other, behind=True)
+    return traffic, arms, corners
+
+
+def test_an_arm_goes_on_where_it_may_before_it_brakes() -> None:
+    """What it sweeps is its own then; where it has come to rest, it asks as before."""
+    traffic, (one, two), corners = one_behind_the_other()
     lane, (start, end) = traffic.lanes[1], corners[1]
     two.execute(motion("approach", RIGHT.home, start))
     lane.holding = True
@@ -312,15 +318,7 @@ def test_an_arm_goes_on_where_it_may_before_it_brakes() -> None:
 
 def test_an_arm_that_may_go_on_all_the_time_comes_to_rest_before_what_it_waits_for() -> None:
     """Nothing of what it could still go on by takes any time."""
-    traffic, plant = Traffic(ARMS), Still(RIGHT)
-    one, two = (
-        ArmInTraffic(p, traffic, k, q, True)  # pyright: ignore[reportArgumentType]
-        for k, (p, q) in enumerate([(Still(LEFT), plant), (plant, Still(LEFT))])
-    )
-    corners = [[arm.home + step * np.eye(len(arm.home))[0] for step in (0.1, 0.4)] for arm in ARMS]
-    mine, other = (route(arm, where) for arm, where in zip(ARMS, corners, strict=True))
-    assert traffic.announce(0, mine)
-    assert traffic.announce(1, other, behind=True)
+    traffic, (one, two), corners = one_behind_the_other()
     one.execute(motion("approach", LEFT.home, corners[0][0]))
     lane, (start, end) = traffic.lanes[1], corners[1]
     two.execute(motion("approach", RIGHT.home, start))
@@ -331,7 +329,7 @@ def test_an_arm_that_may_go_on_all_the_time_comes_to_rest_before_what_it_waits_f
             break
         there = two.farther(start, there, end)
     assert there is None
-    assert lane.behind is mine
+    assert lane.behind is traffic.lanes[0].route
 
 
 class May(Coordinator):

@@ -279,13 +279,13 @@ def check_overlaps(assembly: Assembly, tolerance: float | None = None) -> None:
         common = solids[i] ^ solids[j]
         surface = common.surface_area()
         deep = 2 * common.volume() > (depth + warp[i] + warp[j]) * surface
-        if deep and _meet(assembly, i, j):
+        if deep and _together(assembly, i, j):
             names = f"{blocks[i].id!r} and {blocks[j].id!r}"
             share = common.volume() / min(blocks[i].volume, blocks[j].volume)
             raise InputError(f"blocks {names}", f"{share:.1%} overlap", "blocks that only touch")
 
 
-def _meet(assembly: Assembly, *pair: int) -> bool:
+def _together(assembly: Assembly, *pair: int) -> bool:
     """Whether two blocks are there at the same time, before a step or after one."""
     there = np.array(assembly.at_first)
     met = not assembly.steps or bool(there[[*pair]].all())

@@ -183,7 +183,7 @@ class FreeWays:
         self._clearance = Clearance(blocks, depth)
         self._known: dict[tuple[int, bytes], bool] = {}
         self._slides: dict[tuple[int, bytes], bool] = {}
-        self._level: dict[int, np.ndarray] = {}
+        self._own_ways: dict[int, np.ndarray] = {}
 
     def free(self, block: int, present: np.ndarray, sliding: bool = True) -> bool:
         """Whether a way of a block to or from its place is free among ``present`` (bool[B]).
@@ -217,9 +217,9 @@ class FreeWays:
             normals, faces = self._pushing(block, present)
             ways = LEVEL[:0]
             if self.props[block]:
-                if block not in self._level:
-                    self._level[block] = level_edges(self._clearance.blocks[block])
-                ways = np.concatenate([LEVEL, self._level[block]])
+                if block not in self._own_ways:
+                    self._own_ways[block] = _level_edges(self._clearance.blocks[block])
+                ways = np.concatenate([LEVEL, self._own_ways[block]])
                 ways = ways[(ways @ normals.T > -_ALONG).all(1)]
             if block < self.level:
                 # Where corners alone touch, a normal is one of many that could part them.
@@ -277,7 +277,7 @@ def slides(block: Block, normals: np.ndarray) -> np.ndarray:
     return ways[np.sort(first)][:_WAYS]
 
 
-def level_edges(block: Block) -> np.ndarray:
+def _level_edges(block: Block) -> np.ndarray:
     """float64[k, 3]: unit vectors along the level edges of a block, both ways, each once: the ways
     along the ground that turn with it."""
     along = _edges(block)
