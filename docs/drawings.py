@@ -194,8 +194,8 @@ def _record() -> Any:
 
 def attempt() -> Figure:
     """Height and speed of the tool in the first attempts of a build of the gallery."""
+    from learn2assemble.kinematics.shape import arm_shape
     from learn2assemble.robot.arm import get_arm
-    from learn2assemble.robot.shape import arm_shape
 
     shape, steps = arm_shape(get_arm("panda")), _record().steps[:3]
     figure, axes = _chart()

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 import learn2assemble as l2a
+from learn2assemble.kinematics.cell import KinematicCell
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part, Shape
 from learn2assemble.robot.holding import attitudes, why_not_held
-from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Move, Scene
 
 TOOL = """

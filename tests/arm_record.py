@@ -13,13 +13,13 @@ from scipy.interpolate import PchipInterpolator
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.blocks import AssemblyStep as Placed
 from learn2assemble.assembly.boxes import box_block
+from learn2assemble.kinematics.cell import KinematicCell
 from learn2assemble.motion.record import RATE, BuildRecord, Stage
 from learn2assemble.motion.recorder import BuildRecorder, StepMotion, upright
 from learn2assemble.planning import plan as plans
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.grasps import get_grasps
-from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import OPENING, Move, Outcome, Scene
 from learn2assemble.tasks.world.layouts import sobol
 

@@ -28,7 +28,7 @@ import numpy as np
 
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.driver import driver_of
-from learn2assemble.motion.plant import (
+from learn2assemble.plants.plant import (
     BlockReading,
     Motion,
     Request,
@@ -36,7 +36,7 @@ from learn2assemble.motion.plant import (
     ToolCommand,
     ToolReading,
 )
-from learn2assemble.motion.setup import PlantClock, Setup
+from learn2assemble.plants.setup import PlantClock, Setup
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.simulation.plant import DynamicPlant
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from fake_controller import CYCLE, FakeController
 from learn2assemble.motion.driver import driver_of
-from learn2assemble.motion.plant import Motion
+from learn2assemble.plants.plant import Motion
 from learn2assemble.robot.arm import get_arm
 
 TEXT, CLOSE = 1, 8

@@ -16,8 +16,8 @@ import numpy as np
 
 import learn2assemble as l2a
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
-from learn2assemble.assembly.instructions import instructions
-from learn2assemble.assembly.shapes import corners_at
+from learn2assemble.assembly.instructions.shapes import corners_at
+from learn2assemble.assembly.instructions.steps import instructions
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.export.cards import step_cards
 from learn2assemble.export.pdf import pdf

@@ -14,14 +14,14 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
+from learn2assemble.handling.dynamic_cell import DynamicCell
+from learn2assemble.kinematics.cell import KinematicCell
+from learn2assemble.kinematics.collisions import BlockChecker, Collision
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.bodies import Part, Shape
-from learn2assemble.robot.collisions import BlockChecker, Collision
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.holding import attitudes
-from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Move, Scene, put_down
-from learn2assemble.simulation.cell import DynamicCell
 
 PITCH, GROUND = 0.06, 0.025
 SUCTION = tuple(get_arm(name, "suction") for name in ("panda", "ur5e"))

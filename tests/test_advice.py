@@ -19,12 +19,12 @@ import pytest
 import learn2assemble as l2a
 from cell_shapes import wall
 from headless import SPATIAL, browse, find_browser
-from learn2assemble.assembly.appearance import PALETTE
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.compas import from_compas, to_compas
 from learn2assemble.assembly.files import from_json, to_json
-from learn2assemble.assembly.instructions import instructions
+from learn2assemble.assembly.instructions.appearance import PALETTE
+from learn2assemble.assembly.instructions.steps import instructions
 from learn2assemble.assembly.kit import Kind, Kit, load_kit
 from learn2assemble.cli.parser import make_parser
 from learn2assemble.design.cells import CellDesign
@@ -34,8 +34,8 @@ from learn2assemble.planning.plan import BlamedCells, BlockSupply, Plan
 from learn2assemble.planning.tiling import exact
 from learn2assemble.planning.tiling.advice import NO_ADVICE, _trials, fill_below, pool
 from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.planning.tiling.cover.tile import Tiling
 from learn2assemble.planning.tiling.exact import plan_exact
-from learn2assemble.planning.tiling.tile import Tiling
 from learn2assemble.viewer.page import write_plan_page
 from learn2assemble.viewer.picture import _standing
 from learn2assemble.viewer.words import BLAME_WORDS

@@ -16,11 +16,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import learn2assemble as l2a
+from learn2assemble.acting.carry_out import Workcell, carry_out, prepare, setup_of
 from learn2assemble.assembly.blocks import Assembly, Block, hull_block
 from learn2assemble.assembly.boxes import box_block
-from learn2assemble.assembly.instruction_words import facts
-from learn2assemble.assembly.instructions import instructions
-from learn2assemble.cell.carry_out import Workcell, carry_out, prepare, setup_of
+from learn2assemble.assembly.instructions.steps import instructions
+from learn2assemble.assembly.instructions.words import facts
 from learn2assemble.cell.pieces import Pose, pieces_of, ways_to_rest, with_rests
 from learn2assemble.cell.reach import check_held
 from learn2assemble.cell.site import Magazine, Site
@@ -32,16 +32,16 @@ from learn2assemble.errors import InputError
 from learn2assemble.export.robot_programs import export_program, replay_program
 from learn2assemble.geometry.hulls import Hull, hull_of, resting_turns, rotations_onto
 from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.kinematics.chain import forward, get_chain
+from learn2assemble.kinematics.collisions import BlockChecker
 from learn2assemble.motion.files import read_record, write_record
 from learn2assemble.motion.record import BuildRecord, find_fault
-from learn2assemble.motion.setup import Disturbance
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
+from learn2assemble.plants.setup import Disturbance
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part, Shape, body_of, overlaps, solids
-from learn2assemble.robot.collisions import BlockChecker
 from learn2assemble.robot.holding import PAD, attitudes, free_face, holds_of, ways_to_turn
-from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import Move, Scene, carried, put_down
 from read_back import pdf_text
 from robot_scenes import check_hit

@@ -22,15 +22,15 @@ from headless import SPATIAL, browse, find_browser, pixels, shoot
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_matrix
+from learn2assemble.kinematics import shape as shapes
+from learn2assemble.kinematics.approach import reached_area
+from learn2assemble.kinematics.chain import forward, get_chain
+from learn2assemble.kinematics.inverse import solve
+from learn2assemble.kinematics.shape import Mesh, arm_shape, box, capsule, shaded
 from learn2assemble.motion.record import BuildRecord, Stage
 from learn2assemble.planning.plan import Plan
-from learn2assemble.robot import shape as shapes
-from learn2assemble.robot.approach import reached_area
 from learn2assemble.robot.arm import arm_model, arms_spec, get_arm
-from learn2assemble.robot.inverse import solve
-from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import Outcome
-from learn2assemble.robot.shape import Mesh, arm_shape, box, capsule, shaded
 from learn2assemble.viewer import words as arm_words
 from learn2assemble.viewer.page import write_plan_page
 from learn2assemble.viewer.playback import PAUSE, Playback, split

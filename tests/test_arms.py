@@ -15,6 +15,7 @@ import learn2assemble as l2a
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.export.robot_programs import export_program, replay_program
+from learn2assemble.kinematics.chain import forward, get_chain
 from learn2assemble.registry import Registry
 from learn2assemble.robot.arm import (
     ARMS,
@@ -26,7 +27,6 @@ from learn2assemble.robot.arm import (
     get_arm,
     load_arm,
 )
-from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.own_arms import PLACE, register_arm
 from learn2assemble.robot.urdf import arm_from_urdf

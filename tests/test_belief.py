@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.cell.belief import (
+from learn2assemble.acting.belief import (
     DRIFT,
     GATE,
     Belief,

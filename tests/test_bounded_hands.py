@@ -23,9 +23,9 @@ from learn2assemble.planning.clearance import FreeWays
 from learn2assemble.planning.crew import alike
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.sequence import Supports
-from learn2assemble.statics.equilibrium import margin, solve
-from learn2assemble.statics.hands import HeldBlock, nearest_wrench
-from learn2assemble.statics.holding import Push, balance_of
+from learn2assemble.statics.forces.equilibrium import margin, solve
+from learn2assemble.statics.forces.hands import HeldBlock, nearest_wrench
+from learn2assemble.statics.holding.program import Push, balance_of
 from learn2assemble.statics.states import Pushes, State, States
 
 UP, ASIDE = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])

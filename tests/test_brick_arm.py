@@ -15,10 +15,12 @@ from learn2assemble.assembly.joints import Joint
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.bricks import BrickStates
 from learn2assemble.cell.reach import ReachReport
-from learn2assemble.cell.team import TeamReach
 from learn2assemble.cell.workcell import ROOMS
 from learn2assemble.errors import InputError
 from learn2assemble.export.robot_programs import export_program, read_program
+from learn2assemble.handling.dry_run import play
+from learn2assemble.handling.dynamic_cell import DynamicCell
+from learn2assemble.kinematics.cell import KinematicCell
 from learn2assemble.motion.files import read_record, write_record
 from learn2assemble.motion.program import PRESS_SHARE
 from learn2assemble.motion.record import find_fault
@@ -28,11 +30,9 @@ from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.holding import LEAST_GRIP, PAD, STUD_ROOM, holds_of
-from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Move, Scene
-from learn2assemble.simulation.cell import DynamicCell
-from learn2assemble.simulation.dry_run import play
 from learn2assemble.statics.proofs import CLUTCH
+from learn2assemble.team.members import TeamReach
 from learn2assemble.viewer.arm import arm_section, object_name
 from learn2assemble.viewer.errors import MOST, truth_data
 from learn2assemble.viewer.playback import Playback

@@ -19,11 +19,11 @@ from learn2assemble.errors import InputError
 from learn2assemble.export.formats import export_assembly
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.tiling.bearing import NO_WAY, least_ways
-from learn2assemble.planning.tiling.bricks import _Tiler
-from learn2assemble.planning.tiling.linked import LayerCells, NoCover, linked_cover
-from learn2assemble.planning.tiling.slabs import slabs_of
-from learn2assemble.statics.holding import Balance
+from learn2assemble.planning.tiling.cover.bearing import NO_WAY, least_ways
+from learn2assemble.planning.tiling.cover.bricks import _Tiler
+from learn2assemble.planning.tiling.cover.linked import LayerCells, NoCover, linked_cover
+from learn2assemble.planning.tiling.cover.slabs import slabs_of
+from learn2assemble.statics.holding.program import Balance
 from test_brick_order import replay
 
 

@@ -16,7 +16,7 @@ from learn2assemble.assembly.blocks import Assembly, AssemblyStep
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.bricks.lattice import GROUND, StudLattice
 from learn2assemble.assembly.files import read_assembly, write_assembly
-from learn2assemble.assembly.instructions import instructions
+from learn2assemble.assembly.instructions.steps import instructions
 from learn2assemble.assembly.joints import DRY
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError
@@ -24,8 +24,8 @@ from learn2assemble.export.cards import step_cards
 from learn2assemble.export.pictures import booklet
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
-from learn2assemble.statics.holding import Push, balance_of
-from learn2assemble.statics.holding_check import stands_by_joints
+from learn2assemble.statics.holding.check import stands_by_joints
+from learn2assemble.statics.holding.program import Push, balance_of
 from learn2assemble.statics.laws import ByStrength
 from learn2assemble.statics.rigid_blocks import check
 from learn2assemble.statics.states import State
@@ -51,7 +51,7 @@ _FEW = 50
 def _other_solver(monkeypatch: pytest.MonkeyPatch) -> None:
     """States are proven by the simplex method while an order is found, and here, in ``need``, by
     interior points."""
-    monkeypatch.setattr("learn2assemble.statics.holding._MANY", 0)
+    monkeypatch.setattr("learn2assemble.statics.holding.program._MANY", 0)
 
 
 def replay(plan: Plan) -> None:

@@ -14,30 +14,30 @@ from learn2assemble.assembly.joints import Joint
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.arrange import FINGERS, put_beside, steps_before
 from learn2assemble.cell.bricks import BrickStates, BrickStructure
-from learn2assemble.cell.crew import Member
-from learn2assemble.cell.pair import bricks_by_team, gather
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
-from learn2assemble.cell.team import set_up_team
-from learn2assemble.cell.telling import assume, forget
-from learn2assemble.cell.together import Together
-from learn2assemble.cell.traffic import Leg, Route, Traffic
 from learn2assemble.cell.workcell import StepOf, Workcell
 from learn2assemble.cell.world import WorkcellBlocks
 from learn2assemble.errors import InputError
-from learn2assemble.motion.plant import Motion
+from learn2assemble.handling.dry_run import _put_home
+from learn2assemble.handling.dynamic_cell import DynamicCell
+from learn2assemble.kinematics.capsules import capsules_of, in_hand, solid_capsules
+from learn2assemble.kinematics.sweeps import still, sweep
 from learn2assemble.planning.plan import Plan
+from learn2assemble.plants.plant import Motion
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
-from learn2assemble.robot.capsules import capsules_of, in_hand, solid_capsules
 from learn2assemble.robot.studs import GROUND, StudJoint, Studs
-from learn2assemble.robot.sweeps import still, sweep
-from learn2assemble.simulation.cell import DynamicCell
 from learn2assemble.simulation.clutch import Clutch
-from learn2assemble.simulation.dry_run import _put_home
 from learn2assemble.simulation.objects import rigid_objects
 from learn2assemble.simulation.plant import DynamicPlant
 from learn2assemble.simulation.simulation import SimulatedState
+from learn2assemble.team.crew import Member
+from learn2assemble.team.members import set_up_team
+from learn2assemble.team.pair import bricks_by_team, gather
+from learn2assemble.team.telling import assume, forget
+from learn2assemble.team.together import Together
+from learn2assemble.team.traffic import Leg, Route, Traffic
 
 ARMS = SiteArm("one", "panda", "gripper"), SiteArm("two", "panda", "gripper")
 

@@ -20,14 +20,14 @@ from hypothesis import strategies as st
 
 import learn2assemble as l2a
 from learn2assemble.errors import InputError
+from learn2assemble.handling.dry_run import play
+from learn2assemble.handling.dynamic_cell import DynamicCell
+from learn2assemble.kinematics.cell import KinematicCell
 from learn2assemble.motion.program import make_program
 from learn2assemble.motion.record import find_fault
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene
-from learn2assemble.simulation.cell import DynamicCell
-from learn2assemble.simulation.dry_run import play
 from learn2assemble.statics.rigid_blocks import check
 from learn2assemble.tasks import episode
 from learn2assemble.tasks.episode import build_task, sample_problem

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from brick_data import BRICK, CORNER, TURNS, lying, off_by, shifted
-from learn2assemble.cell.calibrate import calibrate
+from learn2assemble.acting.calibrate import calibrate
 from learn2assemble.cell.site import read_site
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, yaw_quaternion
@@ -206,8 +206,8 @@ def test_tags_in_a_picture_tell_where_the_camera_is(tmp_path: Path) -> None:
 
 
 def test_joints_are_the_tip_of_the_tool(tmp_path: Path) -> None:
+    from learn2assemble.kinematics.chain import forward, get_chain
     from learn2assemble.robot.arm import get_arm
-    from learn2assemble.robot.kinematics import forward, get_chain
 
     path = layout(tmp_path)
     arm = get_arm("ur5e", "suction", (0.0, 0.0, 0.0, 0.0))

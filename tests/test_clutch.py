@@ -26,16 +26,16 @@ from learn2assemble.assembly.joints import Joint, JointOf
 from learn2assemble.cell.bricks import BrickStates
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
+from learn2assemble.handling.dynamic_cell import DynamicCell
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.moves import Move
 from learn2assemble.robot.studs import Studs
-from learn2assemble.simulation.cell import DynamicCell
 from learn2assemble.simulation.clutch import holds
 from learn2assemble.statics import rigid_blocks
-from learn2assemble.statics.holding import Balance, Push, balance_of
-from learn2assemble.statics.holding_check import stands_by_joints
-from learn2assemble.statics.holding_forces import Columns, forces_of
+from learn2assemble.statics.holding.check import stands_by_joints
+from learn2assemble.statics.holding.forces import Columns, forces_of
+from learn2assemble.statics.holding.program import Balance, Push, balance_of
 from learn2assemble.statics.rigid_blocks import FALLS, STANDS, TIGHT, check
 
 _conic: Any = clarabel
@@ -190,7 +190,7 @@ def test_the_preload_needs_it_in_designs_too(name: str) -> None:
 def test_many_blocks_are_answered_by_interior_points_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     assembly = brick_data.design("apex_rss")
     simplex = balance_of(assembly).need()
-    monkeypatch.setattr("learn2assemble.statics.holding._MANY", 0)
+    monkeypatch.setattr("learn2assemble.statics.holding.program._MANY", 0)
     points = balance_of(assembly).need()
     assert points.share == pytest.approx(simplex.share, rel=1e-5)
 

@@ -25,10 +25,10 @@ from learn2assemble.errors import InputError
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import BlamedCells, Plan
 from learn2assemble.planning.tiling.advice import _trials
-from learn2assemble.planning.tiling.candidates import placement_cells
 from learn2assemble.planning.tiling.construct import plan_cells, report_plan
+from learn2assemble.planning.tiling.cover.candidates import placement_cells
+from learn2assemble.planning.tiling.cover.tile import tile
 from learn2assemble.planning.tiling.ordering import order, to_assembly
-from learn2assemble.planning.tiling.tile import tile
 from learn2assemble.statics.rigid_blocks import check
 from test_ordering import deck
 

@@ -20,8 +20,10 @@ from learn2assemble.controllers.common import CLOSE, Address, ControllerClock, f
 from learn2assemble.controllers.ur import STATE, UrPlant
 from learn2assemble.controllers.ur_motion import motion_script
 from learn2assemble.errors import InputError, MissingExtraError
+from learn2assemble.kinematics.chain import forward, get_chain
+from learn2assemble.kinematics.inverse import solve
 from learn2assemble.motion.driver import driver_of
-from learn2assemble.motion.plant import (
+from learn2assemble.plants.plant import (
     Guard,
     Motion,
     Plant,
@@ -31,12 +33,10 @@ from learn2assemble.motion.plant import (
     between,
     standing,
 )
-from learn2assemble.motion.settings import ProgramSettings
-from learn2assemble.motion.setup import BlockKind, Setup, Surroundings, open_plant
+from learn2assemble.plants.settings import ProgramSettings
+from learn2assemble.plants.setup import BlockKind, Setup, Surroundings, open_plant
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.bodies import Part
-from learn2assemble.robot.inverse import solve
-from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import IMMOVABLE
 
 ARM = get_arm("ur5e", "suction")

@@ -14,9 +14,14 @@ from hypothesis import strategies as st
 
 from learn2assemble.benchmark import build_wall
 from learn2assemble.errors import InputError, SimulationDivergedError
+from learn2assemble.handling.dynamic_cell import DynamicCell, ExactSenses
+from learn2assemble.handling.execution import Execution, Rig
+from learn2assemble.handling.prepare import prepare
+from learn2assemble.handling.rest import ONE_SIDED, ShiftRule, check_rest
+from learn2assemble.handling.ways import WorldChecker
+from learn2assemble.kinematics.chain import forward, get_chain
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.grasps import Attitude, get_grasps
-from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import (
     OPENING,
     STAGES,
@@ -28,15 +33,10 @@ from learn2assemble.robot.moves import (
     Trajectory,
     put_down,
 )
-from learn2assemble.simulation.cell import DynamicCell, ExactSenses
 from learn2assemble.simulation.drives import Drives
-from learn2assemble.simulation.execution import Execution, Rig
 from learn2assemble.simulation.model import TIMESTEP
 from learn2assemble.simulation.objects import take_order
-from learn2assemble.simulation.prepare import prepare
-from learn2assemble.simulation.rest import ONE_SIDED, ShiftRule, check_rest
 from learn2assemble.simulation.simulation import SimulatedState, Simulation, Trace
-from learn2assemble.simulation.ways import WorldChecker
 from robot_scenes import GROUND, PITCH, cell, scene
 
 AA, AB, BA, BB = get_grasps("paper")

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from learn2assemble.errors import InputError
-from learn2assemble.robot.kinematic import KinematicCell
+from learn2assemble.kinematics.cell import KinematicCell
 from learn2assemble.robot.moves import Attempt, Outcome
 from learn2assemble.tasks.episode import sample_problem
 from learn2assemble.tasks.evaluation import episodes

@@ -21,7 +21,7 @@ from cell_shapes import wall
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.files import read_assembly, write_assembly
-from learn2assemble.assembly.instructions import instructions
+from learn2assemble.assembly.instructions.steps import instructions
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError, UnknownNameError

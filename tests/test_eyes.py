@@ -13,14 +13,16 @@ import pytest
 
 import learn2assemble as l2a
 from brick_data import BRICK, CORNER, TURNS, lying, off_by, shifted
-from learn2assemble.cell.carry_out import Workcell, carry_out, prepare, setup_of
+from learn2assemble.acting.carry_out import Workcell, carry_out, prepare, setup_of
 from learn2assemble.cell.site import read_site
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, yaw_matrix
+from learn2assemble.kinematics.chain import forward, get_chain
 from learn2assemble.motion.attempts import block_errors
-from learn2assemble.motion.checked import Checked
 from learn2assemble.motion.files import read_record, write_record
-from learn2assemble.motion.plant import (
+from learn2assemble.planning.plan import Plan
+from learn2assemble.plants.checked import Checked
+from learn2assemble.plants.plant import (
     Motion,
     Readings,
     Report,
@@ -29,11 +31,9 @@ from learn2assemble.motion.plant import (
     ToolReading,
     standing,
 )
-from learn2assemble.motion.setup import Disturbance, Surroundings
-from learn2assemble.planning.plan import Plan
+from learn2assemble.plants.setup import Disturbance, Surroundings
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
-from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.sensing.camera import DepthCamera, DepthPicture, looking
 from learn2assemble.sensing.eyes import SeeingPlant, Sort
 from learn2assemble.sensing.pictures import CellCameras, SimulatedCamera, still_scene

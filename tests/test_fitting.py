@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from learn2assemble.acting.fitting import OPEN, STRAYS, Fitting, neighbours
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.boxes import box_block
-from learn2assemble.cell.fitting import OPEN, STRAYS, Fitting, neighbours
 from learn2assemble.cell.pieces import pieces_of
 from learn2assemble.cell.workcell import Job
 from learn2assemble.cell.world import PLACED, SEEMS_FLAT, WorkcellBlocks

@@ -181,7 +181,7 @@ OPTIONS = ("cli/",)
 """What reads options of the command line."""
 OTHERS = {"--error-unmatch", "--short", "--h:"}
 """Options of another program, and what a style sheet calls its own."""
-STILL = {"cell/journal.py", "export/robot_programs.py"}
+STILL = {"acting/journal.py", "export/robot_programs.py"}
 """Files whose names of options are those of what they refuse."""
 
 

@@ -29,9 +29,7 @@ from learn2assemble.geometry.rotations import (
     yaw_matrix,
     yaw_quaternion,
 )
-from learn2assemble.robot.arm import Arm, arms_spec, get_arm, prefix_of
-from learn2assemble.robot.bodies import Part
-from learn2assemble.robot.capsules import (
+from learn2assemble.kinematics.capsules import (
     apart,
     between_lines,
     capsules_of,
@@ -39,8 +37,10 @@ from learn2assemble.robot.capsules import (
     placed,
     solid_capsules,
 )
-from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.sweeps import clear, still, sweep
+from learn2assemble.kinematics.chain import forward, get_chain
+from learn2assemble.kinematics.sweeps import clear, still, sweep
+from learn2assemble.robot.arm import Arm, arms_spec, get_arm, prefix_of
+from learn2assemble.robot.bodies import Part
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -23,7 +23,7 @@ from learn2assemble.planning.goals.search import Found, finished, search
 from learn2assemble.planning.goals.stacks import find_stacks
 from learn2assemble.planning.goals.world import make_problem
 from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.tiling.candidates import placement_cells
+from learn2assemble.planning.tiling.cover.candidates import placement_cells
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.statics.rigid_blocks import check
 from learn2assemble.tasks.goals import (

@@ -21,7 +21,7 @@ from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.compas import from_compas, to_compas
 from learn2assemble.assembly.cuts import cut_of
 from learn2assemble.assembly.files import read_assembly
-from learn2assemble.assembly.instructions import instructions
+from learn2assemble.assembly.instructions.steps import instructions
 from learn2assemble.cli import main
 from learn2assemble.export.cards import step_cards
 from learn2assemble.export.formats import bill_of_blocks, export_assembly

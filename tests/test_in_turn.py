@@ -19,26 +19,8 @@ from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.contacts import Contacts, find_contacts
 from learn2assemble.assembly.hands import Hand
-from learn2assemble.cell import in_turn, team
-from learn2assemble.cell.crew import LIP_ROOM, ArmCrew, Member
-from learn2assemble.cell.in_turn import (
-    about_vertical,
-    build_by_two,
-    solids_of,
-)
-from learn2assemble.cell.pressing import (
-    AT_ONCE,
-    BETWEEN,
-    FARTHEST,
-    NARROWER,
-    SHARES,
-    TURNS,
-    PressingHand,
-    contact_force,
-)
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
-from learn2assemble.cell.team import plan_by_team, set_up_team
 from learn2assemble.cell.workcell import Workcell
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
@@ -50,23 +32,42 @@ from learn2assemble.geometry.rotations import (
     rotation_of,
     yaw_matrix,
 )
+from learn2assemble.handling.execution import Execution
+from learn2assemble.kinematics.capsules import Capsules, capsules_of, placed, solid_capsules
+from learn2assemble.kinematics.chain import forward, get_chain
+from learn2assemble.kinematics.inverse import solve
 from learn2assemble.motion.driver import arm_of
-from learn2assemble.motion.plant import Guard, Motion, ToolReading
 from learn2assemble.motion.program import make_program
 from learn2assemble.motion.waits import BY_HAND, on_one_clock, with_waits
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.sequence import Supports
+from learn2assemble.plants.plant import Guard, Motion, ToolReading
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
-from learn2assemble.robot.capsules import Capsules, capsules_of, placed, solid_capsules
 from learn2assemble.robot.grasps import Attitude
-from learn2assemble.robot.inverse import solve
-from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.scene import reshape
-from learn2assemble.simulation.execution import Execution
 from learn2assemble.simulation.model import TIMESTEP, compile_world
-from learn2assemble.statics.block_forces import System
+from learn2assemble.statics.forces.block_forces import System
 from learn2assemble.statics.states import State
+from learn2assemble.team import in_turn
+from learn2assemble.team import members as team
+from learn2assemble.team.crew import LIP_ROOM, ArmCrew, Member
+from learn2assemble.team.in_turn import (
+    about_vertical,
+    build_by_two,
+    solids_of,
+)
+from learn2assemble.team.members import plan_by_team, set_up_team
+from learn2assemble.team.pressing import (
+    AT_ONCE,
+    BETWEEN,
+    FARTHEST,
+    NARROWER,
+    SHARES,
+    TURNS,
+    PressingHand,
+    contact_force,
+)
 from test_together import asynchronous
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "structures"

@@ -20,9 +20,9 @@ import learn2assemble as l2a
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, hull_block
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.files import write_assembly
-from learn2assemble.assembly.instruction_words import corner_words
-from learn2assemble.assembly.instructions import MOST_TOGETHER, instructions, shapes_of
-from learn2assemble.assembly.shapes import corners_at, rotation
+from learn2assemble.assembly.instructions.shapes import corners_at, rotation
+from learn2assemble.assembly.instructions.steps import MOST_TOGETHER, instructions, shapes_of
+from learn2assemble.assembly.instructions.words import corner_words
 from learn2assemble.cli import main
 from learn2assemble.export.cards import step_cards
 from learn2assemble.export.formats import bill_of_blocks

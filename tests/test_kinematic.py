@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from learn2assemble.constants import HALF
 from learn2assemble.errors import UnknownNameError
 from learn2assemble.geometry.rotations import yaw_quaternion
-from learn2assemble.robot.approach import ApproachCache, tool_path
+from learn2assemble.kinematics.approach import ApproachCache, tool_path
+from learn2assemble.kinematics.cell import Attempt, KinematicCell
+from learn2assemble.kinematics.chain import forward, get_chain
+from learn2assemble.kinematics.collisions import BlockChecker
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.collisions import BlockChecker
 from learn2assemble.robot.grasps import GRASP_SETS, Attitude, get_grasps
 from learn2assemble.robot.holding import why_not_held
-from learn2assemble.robot.kinematic import Attempt, KinematicCell
-from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import (
     BASE_THERE,
     OPENING,

@@ -14,15 +14,15 @@ from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.geometry.rotations import rotation_vector
-from learn2assemble.robot.arm import ARMS, Arm, arm_model, get_arm, load_arm
-from learn2assemble.robot.inverse import SINGULAR_VALUE, TOLERANCE, IKFailure, Solution, solve
-from learn2assemble.robot.kinematics import (
+from learn2assemble.kinematics.chain import (
     forward,
     forward_many,
     get_chain,
     jacobian,
     smallest_singular_value,
 )
+from learn2assemble.kinematics.inverse import SINGULAR_VALUE, TOLERANCE, IKFailure, Solution, solve
+from learn2assemble.robot.arm import ARMS, Arm, arm_model, get_arm, load_arm
 
 
 @pytest.fixture(params=ARMS)

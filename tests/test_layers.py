@@ -23,7 +23,7 @@ PACKAGE = "learn2assemble"
 SOURCE = ROOT / "src" / PACKAGE
 
 _BASE = {"errors", "registry", "values", "files", "constants", "progress", "kernels"}
-_ARM = _BASE | {"geometry", "robot", "motion"}
+_ARM = _BASE | {"geometry", "robot", "kinematics", "motion", "plants"}
 _PRODUCT = _ARM | {
     "blas",
     "linear_programs",
@@ -31,8 +31,9 @@ _PRODUCT = _ARM | {
     "design",
     "statics",
     "planning",
-    "simulation",
 }
+_BUILDS = {"cell", "acting", "team", "jobs"}
+"""What makes a plan with arms, and carries it out."""
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
     "constants": set(),
@@ -50,22 +51,28 @@ ALLOWED: dict[str, set[str]] = {
     "design": _BASE | {"geometry", "assembly"},
     "statics": _BASE | {"blas", "geometry", "linear_programs", "assembly"},
     "robot": _BASE | {"geometry"},
-    "motion": _BASE | {"geometry", "robot"},
+    "kinematics": _BASE | {"geometry", "robot"},
+    "motion": _BASE | {"geometry", "robot", "kinematics"},
+    "plants": _BASE | {"geometry", "robot", "kinematics"},
     "simulation": _ARM,
+    "handling": _ARM | {"simulation"},
     "controllers": _ARM,
     "planning": _BASE | {"geometry", "linear_programs", "assembly", "design", "statics", "motion"},
     "sensing": _ARM | {"assembly"},
     "cell": _PRODUCT | {"sensing"},
-    "jobs": _PRODUCT | {"cell"},
-    "export": _ARM | {"assembly", "simulation"},
+    "acting": _PRODUCT | {"simulation", "handling", "sensing", "cell"},
+    "team": _PRODUCT | {"simulation", "handling", "cell", "acting"},
+    "jobs": _PRODUCT | {"cell", "acting", "team"},
+    "export": _ARM | {"assembly", "handling"},
     "viewer": _ARM | {"assembly", "design", "statics", "planning", "jobs"},
-    "tasks": _PRODUCT | {"cell", "jobs", "workers"},
+    "tasks": _PRODUCT | {"simulation", "handling", "jobs", "workers"},
     "envs": _PRODUCT | {"tasks", "workers"},
-    "benchmark": _PRODUCT | {"tasks", "envs"},
+    "benchmark": _PRODUCT | {"handling", "tasks", "envs"},
     "cli": _PRODUCT
-    | {"cell", "jobs", "export", "viewer", "tasks", "envs", "benchmark", "compiling", "__init__"},
+    | _BUILDS
+    | {"handling", "export", "viewer", "tasks", "envs", "benchmark", "compiling", "__init__"},
     "__main__": {"cli", "errors"},
-    "__init__": _PRODUCT | {"cell", "jobs", "export", "viewer", "tasks", "envs"},
+    "__init__": _PRODUCT | _BUILDS | {"export", "viewer", "tasks", "envs"},
 }
 """What each part may import, besides itself. ``__init__`` is the package as such."""
 
@@ -241,8 +248,8 @@ def test_only_designs_and_tilings_know_cells() -> None:
 @pytest.mark.parametrize(
     ("library", "parts"),
     [
-        ("mujoco", {"robot", "motion", "simulation", "sensing", "cell", "tasks"}),
-        ("ruckig", {"simulation"}),
+        ("mujoco", _ARM | {"simulation", "handling", "sensing", "acting", "tasks"}),
+        ("ruckig", {"kinematics"}),
         ("ezdxf", {"design"}),
         ("rhino3dm", {"design"}),
         ("av", {"viewer"}),

@@ -26,14 +26,14 @@ from learn2assemble.assembly.kit import load_kit
 from learn2assemble.geometry.circles import inner_circle
 from learn2assemble.linear_programs import INF, Clock, solve
 from learn2assemble.planning.tiling import finished, standing
+from learn2assemble.planning.tiling.cover.tile import tile
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.planning.tiling.finished import stand
 from learn2assemble.planning.tiling.ordering import to_assembly
 from learn2assemble.planning.tiling.stack import find_stack
-from learn2assemble.planning.tiling.tile import tile
 from learn2assemble.statics import elastic
 from learn2assemble.statics.elastic import balance
-from learn2assemble.statics.equilibrium import margin
+from learn2assemble.statics.forces.equilibrium import margin
 from learn2assemble.statics.rigid_blocks import bed_patches
 from learn2assemble.statics.step_proof import TOLERANCE, Proof
 from test_ordering import imbalance

@@ -23,11 +23,11 @@ from learn2assemble.geometry.hulls import kern
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.tiling.cover.retiling import Retiling
+from learn2assemble.planning.tiling.cover.tile import tile
 from learn2assemble.planning.tiling.finished import stand_by_mortar
-from learn2assemble.planning.tiling.retiling import Retiling
-from learn2assemble.planning.tiling.tile import tile
-from learn2assemble.statics.holding import balance_of
-from learn2assemble.statics.holding_solver import STATUS, new_solver, run_within
+from learn2assemble.statics.holding.program import balance_of
+from learn2assemble.statics.holding.solver import STATUS, new_solver, run_within
 from learn2assemble.statics.proofs import MORTAR
 from learn2assemble.statics.rigid_blocks import FALLS, STANDS, check
 

@@ -16,13 +16,13 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from brick_data import bricks, random_bricks
 from learn2assemble.blas import by_one_thread
 from learn2assemble.planning.given import plan_assembly
-from learn2assemble.statics import holding
-from learn2assemble.statics.block_factors import BlockMatrix, Springs
-from learn2assemble.statics.holding import Balance, Push, balance_of
-from learn2assemble.statics.holding_check import margin_n, stands_by_joints
-from learn2assemble.statics.holding_forces import forces_of
-from learn2assemble.statics.holding_near import _SHOWN, NearForces
-from learn2assemble.statics.holding_start import first_basis
+from learn2assemble.statics.forces.block_factors import BlockMatrix, Springs
+from learn2assemble.statics.holding.check import margin_n, stands_by_joints
+from learn2assemble.statics.holding.forces import forces_of
+from learn2assemble.statics.holding.near import _SHOWN, NearForces
+from learn2assemble.statics.holding.program import Balance, Push, balance_of
+from learn2assemble.statics.holding.program import program as holding
+from learn2assemble.statics.holding.start import first_basis
 from learn2assemble.statics.rigid_blocks import check
 from test_brick_order import replay
 

@@ -17,16 +17,16 @@ from learn2assemble.assembly.contacts import check_overlaps, find_contacts
 from learn2assemble.assembly.kit import Kind, Kit, load_kit
 from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import Clock
-from learn2assemble.planning.tiling.candidates import BlockPlacement, placement_cells
+from learn2assemble.planning.tiling.cover.candidates import BlockPlacement, placement_cells
+from learn2assemble.planning.tiling.cover.retiling import mirrored
+from learn2assemble.planning.tiling.cover.tile import Tiling, owners, tile
 from learn2assemble.planning.tiling.exact import plan_exact, stand_by_friction
 from learn2assemble.planning.tiling.finished import uncarried_cells
 from learn2assemble.planning.tiling.ordering import Ordering, order, to_assembly, way_out
 from learn2assemble.planning.tiling.props import choose_props, unsupported
-from learn2assemble.planning.tiling.retiling import mirrored
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.standing import find_mechanisms, region_near, tile_standing
-from learn2assemble.planning.tiling.tile import Tiling, owners, tile
-from learn2assemble.statics.equilibrium import solve
+from learn2assemble.statics.forces.equilibrium import solve
 from learn2assemble.statics.proofs import LOCAL, TIGHT
 from learn2assemble.statics.step_proof import TOLERANCE, Proof
 from test_tiling import LINTELS, SMALL, blocks_of, check_cover, covers, designs

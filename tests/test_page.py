@@ -18,10 +18,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from headless import FLAT, SPATIAL, browse, find_browser, pixels, shoot
-from learn2assemble.assembly.appearance import PALETTE, millimetres
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.contacts import find_contacts
+from learn2assemble.assembly.instructions.appearance import PALETTE, millimetres
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import InputError
 from learn2assemble.export.cards import step_cards

@@ -24,8 +24,8 @@ from PIL import Image
 import learn2assemble as l2a
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, hull_block
 from learn2assemble.assembly.boxes import box_block
-from learn2assemble.assembly.instructions import instructions
-from learn2assemble.assembly.shapes import rotation
+from learn2assemble.assembly.instructions.shapes import rotation
+from learn2assemble.assembly.instructions.steps import instructions
 from learn2assemble.cli.commands import _print_plan
 from learn2assemble.cli.output import Output
 from learn2assemble.constants import GRAVITY

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from learn2assemble.errors import InputError
-from learn2assemble.motion.checked import Checked, covariance_is_sound
-from learn2assemble.motion.plant import (
+from learn2assemble.kinematics.chain import forward, get_chain
+from learn2assemble.plants.checked import Checked, covariance_is_sound
+from learn2assemble.plants.plant import (
     BlockReading,
     Commands,
     Guard,
@@ -24,11 +25,10 @@ from learn2assemble.motion.plant import (
     ToolReading,
     standing,
 )
-from learn2assemble.motion.setup import BlockKind, Setup, open_plant
-from learn2assemble.motion.trust import Trusted
+from learn2assemble.plants.setup import BlockKind, Setup, open_plant
+from learn2assemble.plants.trust import Trusted
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
-from learn2assemble.robot.kinematics import forward, get_chain
 
 ARM = get_arm("panda", "suction")
 HERE = np.array([0.4, 0.1, 0.02, 1.0, 0.0, 0.0, 0.0])

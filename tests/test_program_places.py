@@ -15,22 +15,22 @@ import pytest
 
 from arm_record import arm_record
 from cell_shapes import wall
-from learn2assemble.cell.carry_out import Workcell, carry_out
+from learn2assemble.acting.carry_out import Workcell, carry_out
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError
 from learn2assemble.export.place_words import in_base, plain
 from learn2assemble.export.robot_programs import export_program, read_program, replay_program
 from learn2assemble.export.urscript import planned_frame, write_urscript
 from learn2assemble.geometry.rotations import quaternion_product, yaw_quaternion
+from learn2assemble.kinematics.chain import forward_many, get_chain
 from learn2assemble.motion.driver import arm_of
 from learn2assemble.motion.files import read_record, record_data, record_from, write_record
 from learn2assemble.motion.places import Supply, half_turn, put_turn, ranges, step_numbers, supplied
 from learn2assemble.motion.program import Program, make_program
 from learn2assemble.motion.record import BuildRecord, ByHand
-from learn2assemble.motion.settings import ProgramSettings
 from learn2assemble.planning.plan import Plan
+from learn2assemble.plants.settings import ProgramSettings
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.kinematics import forward_many, get_chain
 from test_robot_programs import UrScript, read_bag
 from test_workcell import planned
 

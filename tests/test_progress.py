@@ -20,9 +20,9 @@ from numba import njit
 import learn2assemble as l2a
 from headless import Terminal
 from learn2assemble import compiling, linear_programs, progress
+from learn2assemble.acting import carry_out
+from learn2assemble.acting.carry_out import Workcell
 from learn2assemble.assembly.kit import load_kit
-from learn2assemble.cell import carry_out
-from learn2assemble.cell.carry_out import Workcell
 from learn2assemble.cli import main, output
 from learn2assemble.cli.commands import _print_plan as print_plan
 from learn2assemble.cli.output import Output

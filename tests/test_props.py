@@ -19,18 +19,23 @@ from hypothesis import strategies as st
 
 import learn2assemble as l2a
 from cell_shapes import wall
+from learn2assemble.acting.carry_out import Workcell, advise, carry_out
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.contacts import Contacts, find_contacts
 from learn2assemble.assembly.cuts import POST
 from learn2assemble.assembly.kit import Kit, load_kit
-from learn2assemble.cell.carry_out import Workcell, advise, carry_out
 from learn2assemble.cell.pieces import PROP_ROOM, pieces_of, planed_props
 from learn2assemble.cell.site import Obstacle, Site
 from learn2assemble.cell.world import Rows, way_out
 from learn2assemble.constants import GRAVITY
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
+from learn2assemble.handling.dynamic_cell import DynamicCell
+from learn2assemble.handling.load import Payload, peak_load
+from learn2assemble.kinematics.cell import KinematicCell
+from learn2assemble.kinematics.chain import get_chain
+from learn2assemble.kinematics.shape import arm_shape
 from learn2assemble.planning.centring import find_centring
 from learn2assemble.planning.clearance import FreeWays, overlap, parts_of
 from learn2assemble.planning.given import plan_assembly
@@ -38,15 +43,10 @@ from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.grasps import WAY, Attitude
-from learn2assemble.robot.kinematic import KinematicCell
-from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.moves import Move, Outcome, Scene, overload
 from learn2assemble.robot.registry import TOOLS
-from learn2assemble.robot.shape import arm_shape
 from learn2assemble.robot.tool import load_suction
-from learn2assemble.simulation.cell import DynamicCell
-from learn2assemble.simulation.load import Payload, peak_load
-from learn2assemble.statics.equilibrium import solve
+from learn2assemble.statics.forces.equilibrium import solve
 from robot_scenes import hands
 
 ARMS = [get_arm(name, "suction-side", (-0.5, 0.0, 0.0, 0.0)) for name in ("panda", "ur5e")]
@@ -277,7 +277,7 @@ def test_what_no_tool_does_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     workcell = Workcell("panda", site=Site(base=(0.0, -0.5, 0.0, math.pi / 2), obstacles=(front,)))
     said = advise(plan, workcell, kit.joint_gap, lambda text: None)
     assert said == "no other tool of the arm does: suction-side, suction-wide, gripper"
-    monkeypatch.setattr("learn2assemble.cell.carry_out.MOST_STEPS", len(plan.steps) - 1)
+    monkeypatch.setattr("learn2assemble.acting.carry_out.MOST_STEPS", len(plan.steps) - 1)
     assert advise(plan, workcell, kit.joint_gap, lambda text: None) == ""
 
 

@@ -11,17 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from learn2assemble.acting.carry_out import carry_out, prepare
+from learn2assemble.acting.state import Action, Choice
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, hull_block
 from learn2assemble.assembly.boxes import box_block
-from learn2assemble.assembly.instructions import instructions
+from learn2assemble.assembly.instructions.steps import instructions
 from learn2assemble.assembly.kit import load_kit
-from learn2assemble.cell.carry_out import carry_out, prepare
-from learn2assemble.cell.crew import Member
-from learn2assemble.cell.pair import jobs_of
 from learn2assemble.cell.site import Magazine, Pallet, Pose, Site
 from learn2assemble.cell.site_arms import SiteArm
-from learn2assemble.cell.state import Action, Choice
-from learn2assemble.cell.team import set_up_team
 from learn2assemble.cell.workcell import StepOf, Workcell
 from learn2assemble.cell.world import LOOSE, STANDING
 from learn2assemble.cli import main
@@ -31,11 +28,14 @@ from learn2assemble.errors import InputError
 from learn2assemble.export.cards import step_cards
 from learn2assemble.export.robot_programs import export_program, replay_program
 from learn2assemble.jobs.build import build
-from learn2assemble.motion.setup import Disturbance
 from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.rebuild import changed_over, rebuild, with_copies
+from learn2assemble.planning.rebuilding.rebuild import changed_over, rebuild, with_copies
+from learn2assemble.plants.setup import Disturbance
 from learn2assemble.statics.rigid_blocks import check
 from learn2assemble.statics.states import State
+from learn2assemble.team.crew import Member
+from learn2assemble.team.members import set_up_team
+from learn2assemble.team.pair import jobs_of
 from learn2assemble.viewer.page import write_plan_page
 
 

@@ -16,6 +16,8 @@ from hypothesis import strategies as st
 
 from arm_record import arm_record
 from learn2assemble.errors import InputError
+from learn2assemble.handling.dynamic_cell import DynamicCell
+from learn2assemble.kinematics.chain import forward, get_chain
 from learn2assemble.motion.files import (
     csv_header,
     read_record,
@@ -42,9 +44,7 @@ from learn2assemble.motion.recorder import (
 )
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.grasps import get_grasps
-from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import OPENING, STAGES, Move, Outcome, Scene, Trajectory
-from learn2assemble.simulation.cell import DynamicCell
 
 
 @pytest.fixture(scope="module")

@@ -17,15 +17,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from learn2assemble.assembly.appearance import unit_doubt
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.contacts import Contacts, find_contacts
 from learn2assemble.assembly.files import from_json, to_json
+from learn2assemble.assembly.instructions.appearance import unit_doubt
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError
-from learn2assemble.statics.block_forces import GRAVITY, MOST_G
-from learn2assemble.statics.equilibrium import margin, solve
+from learn2assemble.statics.forces.block_forces import GRAVITY, MOST_G
+from learn2assemble.statics.forces.equilibrium import margin, solve
 from learn2assemble.statics.rigid_blocks import (
     FALLS,
     STANDS,

@@ -34,20 +34,20 @@ from learn2assemble.export.robot_programs import (
     replay_program,
 )
 from learn2assemble.export.urscript import BLEND, ROUND, held_centre, planned_frame, write_urscript
+from learn2assemble.handling.dry_run import play
+from learn2assemble.handling.dynamic_cell import DynamicCell
+from learn2assemble.kinematics.chain import forward, get_chain
 from learn2assemble.motion.driver import driver_of
 from learn2assemble.motion.files import write_record
 from learn2assemble.motion.knots import Knots, fit, slow_down, usage
 from learn2assemble.motion.program import Program, Wait, make_program, motions
 from learn2assemble.motion.record import BuildRecord, ByHand, find_fault
 from learn2assemble.motion.recorder import BuildRecorder, CellShapes, upright
-from learn2assemble.motion.settings import ProgramSettings, ToolOutput
 from learn2assemble.motion.waits import BY_HAND
+from learn2assemble.plants.settings import ProgramSettings, ToolOutput
 from learn2assemble.robot.arm import Arm, Limits, arm_model, get_arm
 from learn2assemble.robot.grasps import Attitude
-from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import OPENING, Move, Scene
-from learn2assemble.simulation.cell import DynamicCell
-from learn2assemble.simulation.dry_run import play
 from robot_scenes import cell, scene
 
 ARMS = ("panda", "ur5e")

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from learn2assemble.acting.carry_out import prepare, setup_of
 from learn2assemble.assembly.kit import DEFAULT_KIT, load_kit
-from learn2assemble.cell.carry_out import prepare, setup_of
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.workcell import Job, Workcell
 from learn2assemble.cli import main
@@ -23,7 +23,10 @@ from learn2assemble.errors import InputError
 from learn2assemble.files import claim_folder
 from learn2assemble.jobs.driven import IN_HAND, Timed
 from learn2assemble.jobs.run import Ran, run
-from learn2assemble.motion.plant import (
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.reports import ArmReport
+from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.plants.plant import (
     BlockReading,
     Commands,
     Guards,
@@ -34,11 +37,8 @@ from learn2assemble.motion.plant import (
     ToolCommand,
     standing,
 )
-from learn2assemble.motion.safety import Box, Safety
-from learn2assemble.motion.setup import Noise, Setup, Surroundings, open_plant
-from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.reports import ArmReport
-from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.plants.safety import Box, Safety
+from learn2assemble.plants.setup import Noise, Setup, Surroundings, open_plant
 from learn2assemble.robot.arm import get_arm
 from test_controllers import NEEDS, PATIENT, SAME, Fake, Fakes, under_the_cup
 
@@ -464,7 +464,7 @@ def test_the_command(
         answer=PATIENT,
         clock=cell.fake.clock,
     )
-    monkeypatch.setattr("learn2assemble.motion.setup.Surroundings", lambda **given: told)
+    monkeypatch.setattr("learn2assemble.plants.setup.Surroundings", lambda **given: told)
     call = ["run", str(tmp_path), "--robot", address, "--trust-placements", "--json"]
     assert main([*call, "--until", "1"]) == 0
     said = json.loads(capsys.readouterr().out)

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 import learn2assemble as l2a
 from learn2assemble.cell.site import Site, read_site
 from learn2assemble.errors import InputError
-from learn2assemble.motion.plant import (
+from learn2assemble.kinematics.chain import forward_many, get_chain
+from learn2assemble.plants.plant import (
     Commands,
     Guard,
     Guards,
@@ -27,9 +28,8 @@ from learn2assemble.motion.plant import (
     ToolReading,
     between,
 )
-from learn2assemble.motion.safety import Box, Guarded, Safety, SafetyRules, parse_safety
+from learn2assemble.plants.safety import Box, Guarded, Safety, SafetyRules, parse_safety
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.kinematics import forward_many, get_chain
 
 ARM = get_arm("ur5e", "suction")
 

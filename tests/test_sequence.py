@@ -29,10 +29,10 @@ from learn2assemble.planning.orders import OrderProblem, site_of
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.posts import find_posts
 from learn2assemble.planning.sequence import Doing, Transition, depth_first, let_go_of
+from learn2assemble.planning.tiling.cover.tile import tile
 from learn2assemble.planning.tiling.ordering import to_assembly
 from learn2assemble.planning.tiling.stack import find_stack
-from learn2assemble.planning.tiling.tile import tile
-from learn2assemble.statics.equilibrium import margin, solve
+from learn2assemble.statics.forces.equilibrium import margin, solve
 from learn2assemble.statics.laws import ByForces, ByLoads
 from learn2assemble.statics.rigid_blocks import FALLS, bed_patches, check
 from learn2assemble.statics.states import Pushes, State, States

@@ -15,12 +15,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from brick_data import shifted
+from learn2assemble.acting.belief import Estimate
+from learn2assemble.acting.fitting import Fitting
+from learn2assemble.acting.sight import FELL, MOST_LOOKS, Sight
 from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
 from learn2assemble.assembly.kit import load_kit
-from learn2assemble.cell.belief import Estimate
-from learn2assemble.cell.fitting import Fitting
 from learn2assemble.cell.pieces import pieces_of
-from learn2assemble.cell.sight import FELL, MOST_LOOKS, Sight
 from learn2assemble.cell.workcell import Job
 from learn2assemble.cell.world import STANDING, WorkcellBlocks
 from learn2assemble.constants import EDGE
@@ -30,10 +30,10 @@ from learn2assemble.geometry.rotations import (
     rotation_of,
     yaw_matrix,
 )
-from learn2assemble.motion.plant import BlockReading, Readings, ToolReading, WrappedPlant
+from learn2assemble.kinematics.chain import forward, get_chain
+from learn2assemble.plants.plant import BlockReading, Readings, ToolReading, WrappedPlant
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.grasps import Attitude, get_grasps
-from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.tasks.graph.batch import to_tensors
 from learn2assemble.tasks.graph.features import Graph, node_offset

@@ -10,11 +10,16 @@ import numpy as np
 import pytest
 
 from cell_shapes import wall
+from learn2assemble.acting.belief import step_between
+from learn2assemble.acting.carry_out import Workcell, carry_out, prepare, setup_of
 from learn2assemble.assembly.kit import load_kit
-from learn2assemble.cell.belief import step_between
-from learn2assemble.cell.carry_out import Workcell, carry_out, prepare, setup_of
 from learn2assemble.design.cells import CellDesign
-from learn2assemble.motion.plant import (
+from learn2assemble.handling.execution import PRESSED
+from learn2assemble.kinematics.chain import forward, get_chain
+from learn2assemble.kinematics.inverse import solve
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.plants.plant import (
     Guard,
     Motion,
     PlantError,
@@ -24,14 +29,10 @@ from learn2assemble.motion.plant import (
     ToolCommand,
     standing,
 )
-from learn2assemble.motion.setup import BlockKind, Disturbance, Noise, Setup, Simulated
-from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.plants.setup import BlockKind, Disturbance, Noise, Setup, Simulated
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.grasps import Attitude
-from learn2assemble.robot.inverse import solve
-from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.simulation.disturbances import (
     PERIOD,
     Chances,
@@ -39,7 +40,6 @@ from learn2assemble.simulation.disturbances import (
     on_table,
     stretched,
 )
-from learn2assemble.simulation.execution import PRESSED
 from learn2assemble.simulation.kinematic_plant import KinematicPlant
 from learn2assemble.simulation.plant import DynamicPlant, simulated
 

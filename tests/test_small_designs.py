@@ -213,7 +213,7 @@ def compare(seed: int) -> str:
 
 def check_plan(tiling, ordering, kit: Kit) -> None:
     """Exact cover, and every state in equilibrium by the program above."""
-    from learn2assemble.planning.tiling.candidates import placement_cells
+    from learn2assemble.planning.tiling.cover.candidates import placement_cells
 
     kinds = [kind.name for kind in kit.kinds]
     blocks = [

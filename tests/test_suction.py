@@ -15,12 +15,17 @@ import pytest
 import learn2assemble as l2a
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
+from learn2assemble.handling.dynamic_cell import DynamicCell
+from learn2assemble.handling.load import Payload, peak_load
+from learn2assemble.handling.prepare import prepare
+from learn2assemble.handling.ways import WorldChecker
+from learn2assemble.kinematics.cell import KinematicCell
+from learn2assemble.kinematics.chain import get_chain
+from learn2assemble.kinematics.shape import arm_shape
 from learn2assemble.motion.recorder import holding
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.hand import tool_limits
-from learn2assemble.robot.kinematic import KinematicCell
-from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.moves import (
     IMMOVABLE,
     STAGES,
@@ -31,15 +36,11 @@ from learn2assemble.robot.moves import (
     Trajectory,
 )
 from learn2assemble.robot.registry import TOOLS
-from learn2assemble.robot.shape import arm_shape
 from learn2assemble.robot.tool import load_suction
-from learn2assemble.simulation.cell import DynamicCell, WorldForces
 from learn2assemble.simulation.cup import Vacuum
-from learn2assemble.simulation.load import Payload, peak_load
 from learn2assemble.simulation.objects import free_cells, take_order
-from learn2assemble.simulation.prepare import prepare
 from learn2assemble.simulation.simulation import SimulatedState, Simulation, Trace
-from learn2assemble.simulation.ways import WorldChecker
+from learn2assemble.simulation.worlds import WorldForces
 from robot_scenes import hands, random_moves
 
 PANDA, UR5E = get_arm("panda", "suction"), get_arm("ur5e", "suction")

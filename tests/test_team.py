@@ -21,27 +21,27 @@ import learn2assemble as l2a
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.hands import Hand
-from learn2assemble.cell.crew import APART, ArmCrew
 from learn2assemble.cell.pieces import Pose, pieces_of
 from learn2assemble.cell.site import Magazine, Site, read_site
 from learn2assemble.cell.site_arms import SiteArm
-from learn2assemble.cell.team import plan_by_team, set_up_team, team_reach
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
-from learn2assemble.motion.plant import Guard, Motion, Report, Request, Stop, ToolCommand, standing
-from learn2assemble.motion.setup import BlockKind, Setup
+from learn2assemble.kinematics.capsules import capsules_of, in_hand, solid_capsules
+from learn2assemble.kinematics.inverse import solve
+from learn2assemble.kinematics.sweeps import clear, sweep
 from learn2assemble.planning.given import plan_assembly
+from learn2assemble.plants.plant import Guard, Motion, Report, Request, Stop, ToolCommand, standing
+from learn2assemble.plants.setup import BlockKind, Setup
 from learn2assemble.robot.arm import Arm, arm_model, get_arm
 from learn2assemble.robot.bodies import Part
-from learn2assemble.robot.capsules import capsules_of, in_hand, solid_capsules
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.hand import SHARE, hand_limits
-from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.moves import AT_THE_SIDE, BASE_THERE, Move
-from learn2assemble.robot.sweeps import clear, sweep
 from learn2assemble.simulation.clock import SharedClock
 from learn2assemble.simulation.plant import DynamicPlant
 from learn2assemble.statics.states import State
+from learn2assemble.team.crew import APART, ArmCrew
+from learn2assemble.team.members import plan_by_team, set_up_team, team_reach
 from learn2assemble.viewer.page import write_plan_page
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "structures"

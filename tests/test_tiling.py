@@ -15,19 +15,25 @@ from cell_shapes import SHAPES, wall
 from learn2assemble.assembly.kit import Kind, Kit, load_kit, orientations, parts_of
 from learn2assemble.errors import InputError, Learn2AssembleError
 from learn2assemble.linear_programs import Clock, LinearProgram, solve
-from learn2assemble.planning.tiling import retiling
-from learn2assemble.planning.tiling import tile as tile_module
-from learn2assemble.planning.tiling.candidates import (
+from learn2assemble.planning.tiling.cover import retiling
+from learn2assemble.planning.tiling.cover import tile as tile_module
+from learn2assemble.planning.tiling.cover.candidates import (
     COSTS,
     BlockPlacement,
     filled_pairs,
     find_candidates,
 )
+from learn2assemble.planning.tiling.cover.retiling import improve_bond
+from learn2assemble.planning.tiling.cover.tile import (
+    Tiling,
+    find_seams,
+    owners,
+    seams_bridged,
+    tile,
+)
+from learn2assemble.planning.tiling.cover.ways import convex_hull, support_margin
 from learn2assemble.planning.tiling.props import unsupported
-from learn2assemble.planning.tiling.retiling import improve_bond
 from learn2assemble.planning.tiling.stack import find_stack
-from learn2assemble.planning.tiling.tile import Tiling, find_seams, owners, seams_bridged, tile
-from learn2assemble.planning.tiling.ways import convex_hull, support_margin
 from learn2assemble.planning.tiling.world import LatticeWorld, make_site
 
 LINTELS = load_kit("bricks-lintels")

@@ -20,29 +20,36 @@ import shapely
 
 import learn2assemble as l2a
 from cell_shapes import SHAPES, wall
+from learn2assemble.acting.carry_out import carry_out, prepare, setup_of
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
 from learn2assemble.assembly.kit import DEFAULT_KIT, load_kit
 from learn2assemble.cell.arrange import BESIDE, HAND, lower_beside
-from learn2assemble.cell.carry_out import carry_out, prepare, setup_of
-from learn2assemble.cell.pair import Pair, gather
 from learn2assemble.cell.site import Obstacle, Site
 from learn2assemble.cell.site_arms import SiteArm
-from learn2assemble.cell.team import set_up_team
-from learn2assemble.cell.telling import SharedJournal, tell
-from learn2assemble.cell.together import Together
-from learn2assemble.cell.traffic import APART, HALTS, PLANNED, ArmInTraffic, Leg, Route, Traffic
 from learn2assemble.cell.workcell import Workcell, job_of
 from learn2assemble.cell.world import WorkcellBlocks
 from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError, Learn2AssembleError
 from learn2assemble.export.ros2 import names_of_two
+from learn2assemble.handling.execution import Coordinator, Execution, Rig
+from learn2assemble.kinematics.capsules import apart, capsules_of, in_hand, solid_capsules
+from learn2assemble.kinematics.capsules import placed as lines_at
+from learn2assemble.kinematics.chain import get_chain
+from learn2assemble.kinematics.sweeps import Sweep, clear, still, sweep
 from learn2assemble.motion.attempts import merged
 from learn2assemble.motion.driver import arm_of
 from learn2assemble.motion.files import read_record
-from learn2assemble.motion.plant import (
+from learn2assemble.motion.program import Program, Wait, make_program, motions
+from learn2assemble.motion.record import find_fault
+from learn2assemble.motion.waits import APART as KEPT
+from learn2assemble.motion.waits import _follows, _Span, held_by, on_one_clock, with_waits
+from learn2assemble.planning.given import plan_assembly
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.plants.plant import (
     Commands,
     Guard,
     Guards,
@@ -53,23 +60,16 @@ from learn2assemble.motion.plant import (
     WrappedPlant,
     standing,
 )
-from learn2assemble.motion.program import Program, Wait, make_program, motions
-from learn2assemble.motion.record import find_fault
-from learn2assemble.motion.safety import Box, Safety
-from learn2assemble.motion.waits import APART as KEPT
-from learn2assemble.motion.waits import _follows, _Span, held_by, on_one_clock, with_waits
-from learn2assemble.planning.given import plan_assembly
-from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.plants.safety import Box, Safety
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.bodies import Part
-from learn2assemble.robot.capsules import apart, capsules_of, in_hand, solid_capsules
-from learn2assemble.robot.capsules import placed as lines_at
-from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.moves import Failure, Outcome
-from learn2assemble.robot.sweeps import Sweep, clear, still, sweep
-from learn2assemble.simulation.execution import Coordinator, Execution, Rig
 from learn2assemble.simulation.plant import DynamicPlant
+from learn2assemble.team.members import set_up_team
+from learn2assemble.team.pair import Pair, gather
+from learn2assemble.team.telling import SharedJournal, tell
+from learn2assemble.team.together import Together
+from learn2assemble.team.traffic import APART, HALTS, PLANNED, ArmInTraffic, Leg, Route, Traffic
 from learn2assemble.viewer.page import write_plan_page
 from learn2assemble.viewer.playback import Playback
 

@@ -16,7 +16,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError
-from learn2assemble.robot.approach import (
+from learn2assemble.handling.prepare import Course, prepare
+from learn2assemble.handling.ways import KEEP, STRIDE, WorldChecker, straight_or_tree
+from learn2assemble.kinematics.approach import (
     JUMP,
     SPACING,
     ApproachPath,
@@ -25,18 +27,11 @@ from learn2assemble.robot.approach import (
     on_path,
     tool_path,
 )
-from learn2assemble.robot.arm import Arm, Limits, get_arm
-from learn2assemble.robot.collisions import Collision
-from learn2assemble.robot.grasps import Attitude, get_grasps
-from learn2assemble.robot.inverse import solve
-from learn2assemble.robot.joint_path import JointPath, joint_path
-from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.moves import OPENING, Failure, Move, Scene
-from learn2assemble.simulation.bench import braked
-from learn2assemble.simulation.model import compile_world
-from learn2assemble.simulation.objects import PRESS, take_order
-from learn2assemble.simulation.prepare import Course, prepare
-from learn2assemble.simulation.trajectory import (
+from learn2assemble.kinematics.chain import forward, get_chain
+from learn2assemble.kinematics.collisions import Collision
+from learn2assemble.kinematics.inverse import solve
+from learn2assemble.kinematics.joint_path import JointPath, joint_path
+from learn2assemble.kinematics.time_law import (
     PathLimits,
     Segment,
     approach_speed_limits,
@@ -44,7 +39,12 @@ from learn2assemble.simulation.trajectory import (
     motion,
     reachable_speed,
 )
-from learn2assemble.simulation.ways import KEEP, STRIDE, WorldChecker, straight_or_tree
+from learn2assemble.robot.arm import Arm, Limits, get_arm
+from learn2assemble.robot.grasps import Attitude, get_grasps
+from learn2assemble.robot.moves import OPENING, Failure, Move, Scene
+from learn2assemble.simulation.bench import braked
+from learn2assemble.simulation.model import compile_world
+from learn2assemble.simulation.objects import PRESS, take_order
 from robot_scenes import hands
 
 PANDA = get_arm("panda")
@@ -324,7 +324,7 @@ def test_where_no_way_is_free_the_target_is_unreachable(monkeypatch: pytest.Monk
     def nowhere(*_: object) -> Collision:
         return Collision("link5", "block 0", True)
 
-    monkeypatch.setattr("learn2assemble.simulation.ways.straight_or_tree", nowhere)
+    monkeypatch.setattr("learn2assemble.handling.ways.straight_or_tree", nowhere)
     order = take_order(tower(1), Move(1, np.array([0.0, 0.15, 0.025]), *AA))
     world = compile_world((PANDA,), order.objects.shape, 1.0)
     with pytest.raises(Failure, match=r"unreachable \(cross\): no free way: link5 touches"):
@@ -496,7 +496,7 @@ def test_without_ruckig_the_extra_is_named() -> None:
             "-c",
             "import sys; sys.modules['ruckig'] = None\n"
             "from learn2assemble.robot.arm import get_arm\n"
-            "from learn2assemble.simulation.cell import DynamicCell\n"
+            "from learn2assemble.handling.dynamic_cell import DynamicCell\n"
             "import learn2assemble.benchmark, learn2assemble.cli.commands\n"
             "print('imported')\nDynamicCell(get_arm('panda'))",
         ],

@@ -19,18 +19,19 @@ import numpy as np
 import pytest
 
 import learn2assemble as l2a
-from learn2assemble.cell.carry_out import setup_of
-from learn2assemble.cell.pair import gather
+from learn2assemble.acting.carry_out import setup_of
 from learn2assemble.cell.pieces import pieces_of
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
-from learn2assemble.cell.team import set_up_team
-from learn2assemble.cell.traffic import Traffic
 from learn2assemble.cell.workcell import Workcell
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError, Learn2AssembleError
 from learn2assemble.jobs.run import Ran, run
-from learn2assemble.motion.plant import (
+from learn2assemble.kinematics.capsules import apart, capsules_of
+from learn2assemble.kinematics.capsules import placed as lines_at
+from learn2assemble.kinematics.chain import get_chain
+from learn2assemble.planning.plan import Plan
+from learn2assemble.plants.plant import (
     BlockReading,
     Commands,
     Guards,
@@ -44,14 +45,13 @@ from learn2assemble.motion.plant import (
     WrappedPlant,
     standing,
 )
-from learn2assemble.motion.remote import in_process
-from learn2assemble.motion.robots import Robots
-from learn2assemble.motion.setup import PlantClock, Setup, Surroundings, open_plant
-from learn2assemble.planning.plan import Plan
-from learn2assemble.robot.capsules import apart, capsules_of
-from learn2assemble.robot.capsules import placed as lines_at
-from learn2assemble.robot.kinematics import get_chain
+from learn2assemble.plants.remote import in_process
+from learn2assemble.plants.robots import Robots
+from learn2assemble.plants.setup import PlantClock, Setup, Surroundings, open_plant
 from learn2assemble.simulation.kinematic_plant import KinematicPlant
+from learn2assemble.team.members import set_up_team
+from learn2assemble.team.pair import gather
+from learn2assemble.team.traffic import Traffic
 from test_controllers import PATIENT, begin
 
 FAST = 60.0
@@ -147,19 +147,19 @@ class Robot:
         return np.array(found)
 
     def latest(self) -> Readings:
-        """See :class:`~learn2assemble.motion.robots.OneOfRobots`."""
+        """See :class:`~learn2assemble.plants.robots.OneOfRobots`."""
         now, state = self.here.now(), "ready" if self.doing is None else "moving"
         where = self.cell.joints.copy() if self.doing is None else self.doing.at(now)
         tool = self.cell.sense().tool
         return Readings(now + self.late, where, 0 * where, (), tool, self.arm.name, state)
 
     def sense(self) -> Readings:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         assert self.doing is None, "one thread at a time uses a plant"
         return self.latest()
 
     def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         assert self.doing is None, "one thread at a time uses a plant"
         if self.fails(motion):
             return Report(Stop.LOST, 0.0, self.cell.joints.copy(), 0.0, "the line is dead")
@@ -176,16 +176,16 @@ class Robot:
         return report._replace(seconds=max(self.here.now() - begin, 0.0), played=None)
 
     def request(self, request: Request) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         raise AssertionError("who serves the cell does it")
 
     def stop(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         self.stopped += 1
         self.halted = self.doing is not None
 
     def close(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
 
 
 class Two:
@@ -279,7 +279,7 @@ def test_two_robots_build_at_the_same_time_and_keep_apart() -> None:
 def test_without_rules_of_the_way_the_arms_would_meet(monkeypatch: pytest.MonkeyPatch) -> None:
     """That the distance could have come out bad."""
     monkeypatch.setattr(Traffic, "_clear", lambda *given: True)
-    monkeypatch.setattr("learn2assemble.cell.traffic.clear", lambda *given: True)
+    monkeypatch.setattr("learn2assemble.team.traffic.clear", lambda *given: True)
     for seed in range(8):
         two = Two(pair_plan(), seed)
         two.run()
@@ -557,7 +557,7 @@ class Watched(WrappedPlant):
         self.told, self.halted, self.begun = told, threading.Event(), 0.0
 
     def latest(self) -> Readings:
-        """See :class:`~learn2assemble.motion.robots.OneOfRobots`."""
+        """See :class:`~learn2assemble.plants.robots.OneOfRobots`."""
         return self.plant.sense()._replace(time=self.begun, state="moving")
 
     def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:

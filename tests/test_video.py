@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from arm_record import arm_plan, arm_record
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError, MissingExtraError
+from learn2assemble.kinematics.shape import box
 from learn2assemble.motion.files import write_record
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.reports import ArmReport
-from learn2assemble.robot.shape import box
 from learn2assemble.viewer import video
 from learn2assemble.viewer.playback import Playback
 from learn2assemble.viewer.renderer import (

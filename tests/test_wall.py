@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 from cell_shapes import wall
+from learn2assemble.acting.building import Building
+from learn2assemble.acting.carry_out import Workcell, carry_out, prepare, setup_of
 from learn2assemble.assembly.kit import load_kit
-from learn2assemble.cell.building import Building
-from learn2assemble.cell.carry_out import Workcell, carry_out, prepare, setup_of
 from learn2assemble.design.cells import CellDesign
-from learn2assemble.motion.plant import (
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.plants.plant import (
     BlockReading,
     Guard,
     Motion,
@@ -26,10 +28,8 @@ from learn2assemble.motion.plant import (
     Request,
     Stop,
 )
-from learn2assemble.motion.remote import in_process
-from learn2assemble.motion.setup import Disturbance, Noise
-from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.plants.remote import in_process
+from learn2assemble.plants.setup import Disturbance, Noise
 from learn2assemble.simulation.plant import simulated
 
 SOURCE = Path(__file__).resolve().parents[1] / "src" / "learn2assemble"

@@ -16,9 +16,10 @@ from hypothesis import strategies as st
 
 import learn2assemble as l2a
 from cell_shapes import wall
+from learn2assemble.acting.carry_out import Workcell, carry_out, job_of, prepare
+from learn2assemble.acting.state import Choice, area
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.kit import Kit, load_kit
-from learn2assemble.cell.carry_out import Workcell, carry_out, job_of, prepare
 from learn2assemble.cell.pieces import QUARTER, Piece, Pose, pieces_of
 from learn2assemble.cell.site import (
     Magazine,
@@ -28,23 +29,22 @@ from learn2assemble.cell.site import (
     Site,
     read_site,
 )
-from learn2assemble.cell.state import Choice, area
 from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.world import STANDING, WorkcellBlocks, rows_of
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.solids import mesh_boxes, read_mesh
 from learn2assemble.errors import InputError
 from learn2assemble.export.robot_programs import export_program
+from learn2assemble.kinematics.chain import forward_many, get_chain
 from learn2assemble.motion.record import RATE, find_fault
-from learn2assemble.motion.safety import Box, Safety
-from learn2assemble.motion.setup import Disturbance
 from learn2assemble.planning.plan import LARGEST, Plan
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.planning.tiling.ordering import polycube
+from learn2assemble.plants.safety import Box, Safety
+from learn2assemble.plants.setup import Disturbance
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
-from learn2assemble.robot.kinematics import forward_many, get_chain
-from learn2assemble.statics.equilibrium import margin, solve
+from learn2assemble.statics.forces.equilibrium import margin, solve
 from learn2assemble.statics.proofs import LOCAL, PROGRAM
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -20,16 +20,10 @@ from cell_shapes import wall
 from l2a_lab import two_arms
 from l2a_lab.arm_distances import MOMENTS, ArmDistances, Moment, WatchedCell
 from l2a_lab.stopped_arm import Pressed, StoppedCell
+from learn2assemble.acting import carry_out
 from learn2assemble.assembly.kit import load_kit
-from learn2assemble.cell import carry_out
-from learn2assemble.cell.crew import Member
-from learn2assemble.cell.in_turn import build_by_two
-from learn2assemble.cell.pair import Pair, gather
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
-from learn2assemble.cell.team import plan_by_team, set_up_team
-from learn2assemble.cell.together import Together
-from learn2assemble.cell.traffic import Route, Traffic
 from learn2assemble.cell.workcell import Workcell
 from learn2assemble.cell.world import MISSING
 from learn2assemble.cli import main
@@ -37,18 +31,24 @@ from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.hulls import hull_of
 from learn2assemble.geometry.rotations import quaternion_matrix
-from learn2assemble.motion.plant import (
+from learn2assemble.motion.record import find_fault
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.plants.plant import (
     Motion,
     PlantError,
     Report,
     Stop,
 )
-from learn2assemble.motion.record import find_fault
-from learn2assemble.motion.setup import Noise, Setup
-from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.plants.setup import Noise, Setup
 from learn2assemble.robot.arm import arms_spec, get_arm, prefix_of
 from learn2assemble.robot.bodies import Part, Shape
+from learn2assemble.team.crew import Member
+from learn2assemble.team.in_turn import build_by_two
+from learn2assemble.team.members import plan_by_team, set_up_team
+from learn2assemble.team.pair import Pair, gather
+from learn2assemble.team.together import Together
+from learn2assemble.team.traffic import Route, Traffic
 from test_brick_team import Ordered, ordered_stair
 from test_in_turn import beam_held_down
 from test_together import crew_for, design

@@ -16,9 +16,9 @@ from l2a_lab.builder.measure_arm import WAYS, compare
 from l2a_lab.builder.network import load_builder
 from l2a_lab.builder.search import build
 from l2a_lab.builder.tasks import TaskModel, make_problem
+from learn2assemble.acting.carry_out import Workcell
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell import world as cells
-from learn2assemble.cell.carry_out import Workcell
 from learn2assemble.cell.pieces import pieces_of
 from learn2assemble.cell.site import Obstacle, Site
 from learn2assemble.design.cells import CellDesign
@@ -26,9 +26,9 @@ from learn2assemble.envs.policies import load_policy
 from learn2assemble.envs.suite import SuiteTask
 from learn2assemble.errors import InputError
 from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.planning.tiling.cover.tile import Tiling
 from learn2assemble.planning.tiling.ordering import to_assembly
 from learn2assemble.planning.tiling.planners import PlannerChoice
-from learn2assemble.planning.tiling.tile import Tiling
 from learn2assemble.planning.tiling.world import LatticeWorld, make_site
 from learn2assemble.tasks.designs import make_design
 from learn2assemble.tasks.evaluation.episodes import (

@@ -33,10 +33,10 @@ from learn2assemble.envs.designs import DesignEnv
 from learn2assemble.errors import InputError
 from learn2assemble.planning.plan import CellCount
 from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.planning.tiling.cover.ways import support_margin
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.planning.tiling.planners import PlannerChoice
 from learn2assemble.planning.tiling.stack import find_stack
-from learn2assemble.planning.tiling.ways import support_margin
 from learn2assemble.planning.tiling.world import LatticeWorld, make_site, run
 from learn2assemble.statics.rigid_blocks import check
 from learn2assemble.tasks.design_features import (

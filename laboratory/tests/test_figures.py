@@ -32,18 +32,18 @@ from l2a_lab.report import losses_told
 from l2a_lab.states import count_states, every, largest_moves, opened, states_of, upright
 from l2a_lab.tables import get_table
 from l2a_lab.two_arms import EIGHT, holds_told, stops_told, table
+from learn2assemble.acting.carry_out import Workcell, prepare
+from learn2assemble.acting.report import deepest_overlap
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.kit import load_kit
-from learn2assemble.cell.carry_out import Workcell, prepare
-from learn2assemble.cell.report import deepest_overlap
 from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError, MissingExtraError
 from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.planning.tiling.cover.tile import Tiling
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.planning.tiling.props import choose_props, unsupported
-from learn2assemble.planning.tiling.tile import Tiling
 from learn2assemble.robot.bodies import Part, solids
 from learn2assemble.tasks.task import HIDDEN_TASKS
 from test_tiling import LINTELS, SMALL, blocks_of, covers, designs
@@ -194,7 +194,7 @@ def test_the_bound_is_reached_by_a_bridge() -> None:
 
 
 def test_the_simulation_tells_what_stands() -> None:
-    from learn2assemble.planning.tiling.candidates import BlockPlacement
+    from learn2assemble.planning.tiling.cover.candidates import BlockPlacement
     from learn2assemble.planning.tiling.ordering import to_assembly
 
     wanted = np.zeros((4, 1, 2), bool)

@@ -42,10 +42,10 @@ from l2a_lab.replay import (
 )
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.geometry.rotations import quaternion_matrices
+from learn2assemble.kinematics.chain import forward, get_chain, jacobian, joint_frames
+from learn2assemble.kinematics.inverse import IKFailure
 from learn2assemble.robot.arm import ARMS, arm_spec, get_arm
 from learn2assemble.robot.grasps import get_grasps
-from learn2assemble.robot.inverse import IKFailure
-from learn2assemble.robot.kinematics import forward, get_chain, jacobian, joint_frames
 from learn2assemble.robot.moves import Move, Outcome, Scene
 from learn2assemble.tasks.checkers import resolve_checker
 from learn2assemble.tasks.task import get_task

@@ -23,7 +23,7 @@ from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.errors import InputError
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.planning.tiling.ordering import to_assembly
-from learn2assemble.statics.equilibrium import solve
+from learn2assemble.statics.forces.equilibrium import solve
 from learn2assemble.statics.proofs import LOCAL, PROGRAM
 from learn2assemble.statics.rigid_blocks import FALLS, UNCERTAIN
 from test_small_designs import random_design, random_kit

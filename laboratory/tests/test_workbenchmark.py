@@ -15,8 +15,8 @@ import learn2assemble as l2a
 from l2a_lab.__main__ import command_line
 from l2a_lab.press_orders import MOST_BRICKS, press_orders
 from l2a_lab.workbenchmark import LAYER, MIDDLE, Brick, Task, play, product_of, read_tasks, site_of
+from learn2assemble.acting.carry_out import Workcell, prepare
 from learn2assemble.assembly.blocks import Assembly
-from learn2assemble.cell.carry_out import Workcell, prepare
 from learn2assemble.cell.world import WorkcellBlocks
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError

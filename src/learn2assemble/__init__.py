@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 from learn2assemble.registry import add_plugin
 
 if TYPE_CHECKING:
+    from learn2assemble.acting.calibrate import calibrate
     from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, hull_block
     from learn2assemble.assembly.boxes import box_block
     from learn2assemble.assembly.files import read_assembly, write_assembly
     from learn2assemble.assembly.hands import Hand
     from learn2assemble.assembly.kit import Kind, Kit, load_kit
-    from learn2assemble.cell.calibrate import calibrate
     from learn2assemble.cell.site import Site
     from learn2assemble.design.cells import CellDesign
     from learn2assemble.design.goals import Goals
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from learn2assemble.export.robot_programs import export_program, replay_program
     from learn2assemble.jobs.build import build, reach
     from learn2assemble.jobs.run import Ran, run
-    from learn2assemble.motion.setup import Surroundings
     from learn2assemble.planning.plan import Plan, Step, load_plan
+    from learn2assemble.plants.setup import Surroundings
     from learn2assemble.robot.arm import get_arm
     from learn2assemble.robot.registry import register_arm, register_tool
     from learn2assemble.statics.rigid_blocks import Check, check
@@ -73,9 +73,9 @@ _HOME = {
     "statics.rigid_blocks": "Check check",
     "jobs.build": "build reach",
     "jobs.run": "Ran run",
-    "motion.setup": "Surroundings",
+    "plants.setup": "Surroundings",
     "planning.plan": "Plan Step load_plan",
-    "cell.calibrate": "calibrate",
+    "acting.calibrate": "calibrate",
     "cell.site": "Site",
     "robot.arm": "get_arm",
     "robot.registry": "register_arm register_tool",

@@ -23,11 +23,11 @@ from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.constants import EDGE, HALF
 from learn2assemble.errors import extra
+from learn2assemble.handling.dynamic_cell import DynamicCell
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.grasps import get_grasps
 from learn2assemble.robot.moves import GAP, Attempt, Move, Scene
-from learn2assemble.simulation.cell import DynamicCell
 from learn2assemble.statics.rigid_blocks import check
 from learn2assemble.tasks.learning.config import CONFIGS
 from learn2assemble.tasks.physics.rigid import RigidPhysics

@@ -21,30 +21,30 @@ import numpy as np
 from l2a_lab import shapes
 from l2a_lab.measured import Figures, Result
 from l2a_lab.sensing import RIGS, calibration, off_cameras, wrong
-from learn2assemble.assembly.blocks import Assembly
-from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
-from learn2assemble.cell.belief import step_between
-from learn2assemble.cell.carry_out import (
+from learn2assemble.acting.belief import step_between
+from learn2assemble.acting.carry_out import (
     Workcell,
     carry_out,
     carry_out_cells,
     prepare,
     setup_of,
 )
-from learn2assemble.cell.report import deepest_overlap
+from learn2assemble.acting.report import deepest_overlap
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.workcell import Job
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.read import read_design
 from learn2assemble.geometry.rotations import quaternion_matrix
-from learn2assemble.motion.setup import Disturbance, Noise
+from learn2assemble.handling.dynamic_cell import DynamicCell
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.plants.setup import Disturbance, Noise
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.bodies import Solid, solids
 from learn2assemble.robot.moves import Scene
-from learn2assemble.simulation.cell import DynamicCell
 from learn2assemble.simulation.plant import DynamicPlant
 from learn2assemble.values import to_plain
 

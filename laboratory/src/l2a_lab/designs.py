@@ -27,11 +27,11 @@ from learn2assemble.assembly.kit import Kit, load_kit, orientations
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.read import read_design
 from learn2assemble.errors import InputError
-from learn2assemble.planning.tiling.candidates import find_candidates
 from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.planning.tiling.cover.candidates import find_candidates
+from learn2assemble.planning.tiling.cover.tile import Tiling, cover, seams_bridged
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.planning.tiling.ordering import Ordering, to_assembly
-from learn2assemble.planning.tiling.tile import Tiling, cover, seams_bridged
 from learn2assemble.statics.proofs import TIGHT
 
 EXAMPLES, REFERENCE = Path("examples/designs"), Path("../shared/reference")
@@ -215,7 +215,7 @@ def heap_entry(wanted: np.ndarray, kit: Kit) -> Result:
 
 def proof_entry(wanted: np.ndarray, kit: Kit) -> Result:
     """Random states of the order, by another solver on other contacts, and in simulation."""
-    from learn2assemble.statics.equilibrium import solve
+    from learn2assemble.statics.forces.equilibrium import solve
     from learn2assemble.statics.rigid_blocks import bed_patches
 
     tiling, ordering = plan_exact(wanted, kit, seconds=SECONDS)
@@ -338,7 +338,7 @@ def _masonry(path: Path) -> list[tuple[Result, Assembly]]:
 
 def masonry_entry(path: Path) -> Result:
     """Agreement with the recorded verdicts of compas_cra."""
-    from learn2assemble.statics.equilibrium import solve
+    from learn2assemble.statics.forces.equilibrium import solve
 
     started = time.perf_counter()
     rbe = coupled = wrong = 0

@@ -13,7 +13,7 @@ from learn2assemble.assembly.contacts import Contacts, find_contacts
 from learn2assemble.errors import InputError
 from learn2assemble.planning.clearance import LEVEL, Clearance, ways_out
 from learn2assemble.planning.posts import find_posts
-from learn2assemble.statics.equilibrium import solve
+from learn2assemble.statics.forces.equilibrium import solve
 from learn2assemble.statics.rigid_blocks import SIDE, STANDS, check
 
 MOST = 60_000

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 
 from l2a_lab.measured import Figures, Result
-from learn2assemble.cell.carry_out import Workcell, carry_out
+from learn2assemble.acting.carry_out import Workcell, carry_out
 from learn2assemble.cell.site import with_obstacles
 from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import Clock

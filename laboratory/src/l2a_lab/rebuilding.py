@@ -18,7 +18,7 @@ from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
 from learn2assemble.jobs.build import build
 from learn2assemble.jobs.kinds import PHYSICS, ArmChoice, rebuilt_by
 from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.rebuild import rebuild
+from learn2assemble.planning.rebuilding.rebuild import rebuild
 from learn2assemble.statics.rigid_blocks import FALLS, check
 from learn2assemble.tasks.designs import FAMILIES, draw
 

@@ -15,14 +15,14 @@ import numpy as np
 
 from l2a_lab.arm_distances import WatchedCell
 from l2a_lab.measured import Result
-from learn2assemble.cell.crew import Member
-from learn2assemble.cell.in_turn import build_by_two
 from learn2assemble.cell.workcell import Workcell
-from learn2assemble.motion.plant import PlantError, Stop
-from learn2assemble.motion.setup import Setup
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.reports import ArmFailure
+from learn2assemble.plants.plant import PlantError, Stop
+from learn2assemble.plants.setup import Setup
 from learn2assemble.robot.moves import Outcome
+from learn2assemble.team.crew import Member
+from learn2assemble.team.in_turn import build_by_two
 
 RESTS = 1e-2
 """What is slower stands [rad/s]."""

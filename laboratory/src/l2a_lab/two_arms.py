@@ -25,20 +25,20 @@ from l2a_lab.measured import Figures, Result
 from l2a_lab.shapes import SHAPES, wall
 from l2a_lab.stopped_arm import APART, Job, drawn, stopped
 from l2a_lab.two_arms_bricks import BOTH, BRICKS, WHO
+from learn2assemble.acting.carry_out import carry_out
 from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
-from learn2assemble.cell.carry_out import carry_out
-from learn2assemble.cell.crew import Member
-from learn2assemble.cell.in_turn import build_by_two
 from learn2assemble.cell.reach import Base
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
-from learn2assemble.cell.team import plan_by_team, set_up_team
 from learn2assemble.cell.workcell import Workcell
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.read import read_design
-from learn2assemble.motion.setup import Disturbance
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.plants.setup import Disturbance
+from learn2assemble.team.crew import Member
+from learn2assemble.team.in_turn import build_by_two
+from learn2assemble.team.members import plan_by_team, set_up_team
 
 ARMS = ("ur5e", "panda")
 WALLS = {f"wall {x} x {y} x {z}": (x, y, z) for x, y, z in ((10, 2, 3), (16, 2, 5), (16, 2, 9))}

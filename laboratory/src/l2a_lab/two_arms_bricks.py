@@ -22,14 +22,14 @@ from l2a_lab.measured import Result
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.bricks.files import of_stablelego
 from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
-from learn2assemble.assembly.instruction_words import count_words
+from learn2assemble.assembly.instructions.words import count_words
 from learn2assemble.assembly.kit import load_kit
-from learn2assemble.cell.pair import bricks_by_team, gather
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
-from learn2assemble.cell.team import set_up_team
-from learn2assemble.cell.together import Together, built_by
 from learn2assemble.cell.workcell import Workcell
+from learn2assemble.team.members import set_up_team
+from learn2assemble.team.pair import bricks_by_team, gather
+from learn2assemble.team.together import Together, built_by
 
 RECORDED = Path("tests/data/clutch_designs.jsonl.gz")
 ARM, TOOL, BOTH = "panda", "gripper", "both"

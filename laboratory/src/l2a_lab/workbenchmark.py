@@ -26,17 +26,17 @@ import numpy as np
 
 from l2a_lab.measured import Figures, Result
 from l2a_lab.sensing import FINE, calibration, camera, off_cameras
+from learn2assemble.acting.belief import step_between
+from learn2assemble.acting.carry_out import Workcell, carry_out
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.kit import Kind, Kit, load_kit
-from learn2assemble.cell.belief import step_between
-from learn2assemble.cell.carry_out import Workcell, carry_out
 from learn2assemble.cell.pieces import Pose
 from learn2assemble.cell.site import Position, Site
 from learn2assemble.errors import InputError, look_up
-from learn2assemble.motion.setup import Disturbance
 from learn2assemble.planning.brick_plan import plan_for_arm
 from learn2assemble.planning.plan import Plan
+from learn2assemble.plants.setup import Disturbance
 from learn2assemble.sensing.camera import DepthCamera
 from learn2assemble.values import mapping, number, sequence, text
 

@@ -1,7 +1,7 @@
 """How the joints between blocks hold: dry, by clutch (studs of toy bricks), or by mortar.
 
 A law is data of a kit (its table ``[joint]``) and of an assembly. What it means in a balance of
-forces is :mod:`learn2assemble.statics.holding`.
+forces is :mod:`learn2assemble.statics.holding.program`.
 """
 
 from __future__ import annotations

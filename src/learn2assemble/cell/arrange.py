@@ -23,8 +23,8 @@ from learn2assemble.cell.world import (
     rows_of,
     supply_of,
 )
+from learn2assemble.kinematics.cell import KinematicCell
 from learn2assemble.progress import Counting
-from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Attempt
 
 BESIDE, HAND, LEVEL = 0.5, 0.1, 1e-3

@@ -19,8 +19,8 @@ from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.workcell import Job, Offset, StepOf
 from learn2assemble.cell.world import STANDING, Rows, WorkcellBlocks
 from learn2assemble.robot.studs import StudJoint, Studs
-from learn2assemble.statics.holding import Balance, Need, Push
-from learn2assemble.statics.holding_check import stands_by_joints
+from learn2assemble.statics.holding.check import stands_by_joints
+from learn2assemble.statics.holding.program import Balance, Need, Push
 from learn2assemble.statics.laws import ByStrength
 from learn2assemble.statics.states import State
 

@@ -24,10 +24,10 @@ from learn2assemble.cell.world import (
     rows_of,
 )
 from learn2assemble.errors import InputError
+from learn2assemble.kinematics.cell import KinematicCell
 from learn2assemble.progress import Detail, counted, silent
 from learn2assemble.robot.bodies import Shape
 from learn2assemble.robot.grasps import Attitude
-from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Move, Scene, turned, turns
 
 FARTHEST = 0.85

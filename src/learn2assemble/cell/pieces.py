@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.assembly.appearance import millimetres
 from learn2assemble.assembly.blocks import Assembly, Block
+from learn2assemble.assembly.instructions.appearance import millimetres
 from learn2assemble.assembly.parts import convex_parts, upright_boxes
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.hulls import (

@@ -31,13 +31,13 @@ from learn2assemble.cell.site import Site, Source, given_sources
 from learn2assemble.cell.workcell import Job, Progress
 from learn2assemble.errors import InputError, listed
 from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.kinematics.approach import ApproachCache
+from learn2assemble.kinematics.chain import forward, get_chain
+from learn2assemble.kinematics.inverse import RESTARTS, solve
 from learn2assemble.progress import counted, silent
-from learn2assemble.robot.approach import ApproachCache
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.bodies import Shape
 from learn2assemble.robot.holding import attitude, no_faces, ways_to_turn, why_not_held
-from learn2assemble.robot.inverse import RESTARTS, solve
-from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import (
     CLEARANCE,
     FINE_LEVEL,

@@ -30,9 +30,9 @@ from learn2assemble.cell.pieces import (
 from learn2assemble.cell.site_arms import SiteArm, parse_arms
 from learn2assemble.errors import InputError, check_name, listed
 from learn2assemble.files import read_text
-from learn2assemble.motion.safety import SECTION as SAFETY
-from learn2assemble.motion.safety import Safety, parse_safety
-from learn2assemble.motion.settings import LAYOUT, SECTION, ProgramSettings, parse_settings
+from learn2assemble.plants.safety import SECTION as SAFETY
+from learn2assemble.plants.safety import Safety, parse_safety
+from learn2assemble.plants.settings import LAYOUT, SECTION, ProgramSettings, parse_settings
 from learn2assemble.robot.bodies import Part, Shape
 from learn2assemble.sensing.camera import (
     DepthCamera,

@@ -45,7 +45,7 @@ class Structure:
 
     def __init__(self, job: Job) -> None:
         from learn2assemble.assembly.contacts import add_point_contacts, find_contacts
-        from learn2assemble.planning.changeover import overlapping
+        from learn2assemble.planning.rebuilding.changeover import overlapping
         from learn2assemble.statics.rigid_blocks import bed_patches
 
         self.job, self.contacts = job, find_contacts(job.assembly)
@@ -127,7 +127,7 @@ class Structure:
 
         States that are asked for in the order of a build are proven from one another.
         """
-        from learn2assemble.statics.equilibrium import margin
+        from learn2assemble.statics.forces.equilibrium import margin
 
         state = self._state(standing)
         if self._loads.stands(state):
@@ -142,7 +142,7 @@ class Structure:
 
     def _pressing(self, standing: frozenset[int]) -> Contacts | None:
         """The joints whose forces can hold these pieces: horizontal ones alone, or all."""
-        from learn2assemble.statics.equilibrium import solve
+        from learn2assemble.statics.forces.equilibrium import solve
 
         present = self._state(standing).present
         for contacts in (self.lying, self.contacts.known(self.job.friction)):

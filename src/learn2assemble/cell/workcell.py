@@ -22,7 +22,7 @@ from learn2assemble.assembly.cuts import ground_of
 from learn2assemble.cell.pieces import ON_TABLE, Piece, pieces_of
 from learn2assemble.cell.site import Obstacle, Site, Source
 from learn2assemble.errors import InputError
-from learn2assemble.motion.setup import Disturbance, Noise, Simulated
+from learn2assemble.plants.setup import Disturbance, Noise, Simulated
 from learn2assemble.robot.arm import Arm, get_arm
 
 if TYPE_CHECKING:

@@ -328,7 +328,7 @@ def _hands_of(plan: Plan) -> list[str]:
 def _counted(plan: Plan) -> list[tuple[str, str, int]]:
     """How many blocks of every kind are placed, props apart; what has no kind is listed by its
     shape, as in the bill."""
-    from learn2assemble.assembly.instructions import shapes_of
+    from learn2assemble.assembly.instructions.steps import shapes_of
 
     placed = [step for step in plan.steps if step.action == "place"]
     kinds = [(step.kind or "block", 0) for step in placed]

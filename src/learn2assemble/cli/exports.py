@@ -53,8 +53,8 @@ def _format_argument(parser: argparse.ArgumentParser) -> None:
     ),
 )
 def _export(options: argparse.Namespace, output: Output) -> None:
-    from learn2assemble.assembly.appearance import unbuilt_words
     from learn2assemble.assembly.files import read_assembly
+    from learn2assemble.assembly.instructions.appearance import unbuilt_words
     from learn2assemble.export import PROGRAM_FORMATS
     from learn2assemble.export.formats import FORMATS, check_target, export_assembly
 
@@ -78,7 +78,7 @@ def _export(options: argparse.Namespace, output: Output) -> None:
 
 
 def _export_program(options: argparse.Namespace, output: Output) -> None:
-    from learn2assemble.assembly.instruction_words import count_words
+    from learn2assemble.assembly.instructions.words import count_words
     from learn2assemble.export.place_words import PLACE_HEAD
     from learn2assemble.export.robot_programs import WHERE, export_program
 
@@ -153,9 +153,9 @@ def _add_arm(options: argparse.Namespace, output: Output) -> int:
 )
 def _replay(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where the same structure results, and 1 where it does not."""
-    from learn2assemble.assembly.instruction_words import count_words
+    from learn2assemble.assembly.instructions.words import count_words
     from learn2assemble.export.robot_programs import replay_program
-    from learn2assemble.simulation.dry_run import SAME
+    from learn2assemble.handling.dry_run import SAME
 
     done = replay_program(options.file, options.arm)
     worst = int(done.error.argmax())

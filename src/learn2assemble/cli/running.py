@@ -14,7 +14,7 @@ from learn2assemble.values import to_plain
 
 if TYPE_CHECKING:
     from learn2assemble.cli.output import Output
-    from learn2assemble.motion.plant import Request
+    from learn2assemble.plants.plant import Request
 
 COMMANDS: dict[str, Command] = {}
 STATE = "run.jsonl"
@@ -60,9 +60,9 @@ def _run(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where everything is done, or the run was paused as asked; else 1."""
     from learn2assemble.cell.site import Site, read_site
     from learn2assemble.jobs.run import SIMULATION, run
-    from learn2assemble.motion.safety import by_rule
-    from learn2assemble.motion.setup import Surroundings
     from learn2assemble.planning.plan import load_plan
+    from learn2assemble.plants.safety import by_rule
+    from learn2assemble.plants.setup import Surroundings
 
     if options.step and options.until is not None:
         raise InputError("--step", f"with --until {options.until}", "one of the two")
@@ -151,7 +151,7 @@ def _serve(request: Request) -> None:
         PlantError: where nobody says that it is done.
     """
     from learn2assemble.jobs.driven import IN_HAND
-    from learn2assemble.motion.plant import PlantError, Stop
+    from learn2assemble.plants.plant import PlantError, Stop
 
     if request.what in WORDS:
         what = WORDS[request.what].format(request.block)

@@ -28,8 +28,8 @@ from learn2assemble.values import rounded
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly
     from learn2assemble.cell.reach import Base
-    from learn2assemble.cell.team import TeamReach
     from learn2assemble.cli.output import Output
+    from learn2assemble.team.members import TeamReach
     from learn2assemble.viewer.arm import StandingArm
     from learn2assemble.viewer.page import Verdict
 
@@ -78,8 +78,8 @@ def _write_page(
 )
 def _reach(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where everything is within reach, else 1."""
-    from learn2assemble.cell.team import TeamReach
     from learn2assemble.jobs.build import reach
+    from learn2assemble.team.members import TeamReach
     from learn2assemble.viewer.page import Verdict
 
     with _claimed(options.out):
@@ -156,7 +156,7 @@ def _standing(
         return []
     from learn2assemble.cell.pieces import pieces_of
     from learn2assemble.cell.reach import place_arm, resting
-    from learn2assemble.robot.approach import reached_area
+    from learn2assemble.kinematics.approach import reached_area
     from learn2assemble.viewer.arm import StandingArm
 
     pieces = pieces_of(assembly)
@@ -166,7 +166,7 @@ def _standing(
 
 def _team_reach(found: TeamReach, out: Path | None, output: Output) -> int:
     """What each of several arms and both reach."""
-    from learn2assemble.cell.team import TOOL
+    from learn2assemble.team.members import TOOL
     from learn2assemble.viewer.page import Verdict
 
     assert found.assembly is not None
@@ -227,7 +227,7 @@ def _team_reach(found: TeamReach, out: Path | None, output: Output) -> int:
     arg("--out", type=named, default=None, metavar="FILE", help="write this new file instead"),
 )
 def _calibrate(options: argparse.Namespace, output: Output) -> int:
-    from learn2assemble.cell.calibrate import calibrate
+    from learn2assemble.acting.calibrate import calibrate
 
     made = calibrate(
         options.layout,
@@ -303,8 +303,8 @@ def _check(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where it stands, if only with tight joints, else 1."""
     import numpy as np
 
-    from learn2assemble.assembly.appearance import unbuilt_words, unit_doubt
     from learn2assemble.assembly.files import read_assembly
+    from learn2assemble.assembly.instructions.appearance import unbuilt_words, unit_doubt
     from learn2assemble.statics.rigid_blocks import check
     from learn2assemble.viewer.page import Verdict
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from learn2assemble.motion.plant import Plant
-    from learn2assemble.motion.setup import Setup
+    from learn2assemble.plants.plant import Plant
+    from learn2assemble.plants.setup import Setup
     from learn2assemble.registry import Registry
 
 

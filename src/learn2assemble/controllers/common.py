@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from learn2assemble.errors import InputError
-from learn2assemble.motion.plant import (
+from learn2assemble.plants.plant import (
     Commands,
     Guard,
     Guards,
@@ -21,7 +21,7 @@ from learn2assemble.motion.plant import (
     ToolReading,
     between,
 )
-from learn2assemble.motion.setup import UNWANTED
+from learn2assemble.plants.setup import UNWANTED
 
 BACK = 1e-6
 """By so much the clock of a controller may go back [s]."""

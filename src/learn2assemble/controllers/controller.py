@@ -21,7 +21,7 @@ from learn2assemble.controllers.common import (
 )
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.driver import Driver, driver_of
-from learn2assemble.motion.plant import (
+from learn2assemble.plants.plant import (
     BlockReading,
     Commands,
     Guards,
@@ -34,11 +34,11 @@ from learn2assemble.motion.plant import (
     ToolCommand,
     ToolReading,
 )
-from learn2assemble.motion.setup import PlantClock, Setup, Surroundings
+from learn2assemble.plants.setup import PlantClock, Setup, Surroundings
 from learn2assemble.values import three
 
 if TYPE_CHECKING:
-    from learn2assemble.motion.settings import ProgramSettings
+    from learn2assemble.plants.settings import ProgramSettings
     from learn2assemble.robot.arm import Arm
 
 CONNECT = 3.0
@@ -105,7 +105,7 @@ class Controller(ABC):
 
     @abstractmethod
     def stop(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
 
     @abstractmethod
     def _came(self) -> float:
@@ -132,7 +132,7 @@ class Controller(ABC):
         return three((self._base @ np.asarray(force, float)).tolist())
 
     def sense(self) -> Readings:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         look = self.around.look
         blocks = () if look is None else tuple(look())
         now, until = self._now(), self.clock.now() + self.around.silence
@@ -152,7 +152,7 @@ class Controller(ABC):
         return Readings(now.time, now.joints, now.velocity, blocks, now.tool, self.arm.name, state)
 
     def request(self, request: Request) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         begun = self.sense().time
         if self.around.serve is not None:
             self.around.serve(request)
@@ -210,7 +210,7 @@ class WatchingController(Controller):
         """Tell the tool."""
 
     def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         begun, odd = self._begin(motion)
         if odd is not None:
             return odd

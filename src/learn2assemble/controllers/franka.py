@@ -16,8 +16,8 @@ import numpy as np
 from learn2assemble.controllers.common import Address, lost
 from learn2assemble.controllers.controller import ControllerState, WatchingController
 from learn2assemble.errors import InputError, extra
-from learn2assemble.motion.plant import Commands, Motion, PlantError, Stop, ToolReading
-from learn2assemble.motion.setup import Setup
+from learn2assemble.plants.plant import Commands, Motion, PlantError, Stop, ToolReading
+from learn2assemble.plants.setup import Setup
 
 EPSILON = 0.005
 """What the fingers close on may be so much wider or narrower than told [m]."""
@@ -112,14 +112,14 @@ class FrankaPlant(WatchingController):
                 self._robot.set_load(one.load, centre, [0.0] * 9)
 
     def stop(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         try:
             self._robot.stop()
         except Exception as error:  # noqa: BLE001
             raise lost(_line(error)) from None
 
     def close(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`; the library ends its connections when
+        """See :class:`~learn2assemble.plants.plant.Plant`; the library ends its connections when
         nobody holds them any more."""
         self.stop()
 

@@ -25,8 +25,8 @@ from learn2assemble.controllers.controller import (
     WatchingController,
 )
 from learn2assemble.errors import extra
-from learn2assemble.motion.plant import Commands, Motion, PlantError, Stop, ToolReading
-from learn2assemble.motion.setup import Setup
+from learn2assemble.plants.plant import Commands, Motion, PlantError, Stop, ToolReading
+from learn2assemble.plants.setup import Setup
 
 PORT = 9090
 ACTION = "/joint_trajectory_controller/follow_joint_trajectory"
@@ -244,7 +244,7 @@ class RosPlant(WatchingController):
             raise PlantError(Stop.LATE, "the arm does not stop")
 
     def close(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         if self._known:
             with contextlib.suppress(PlantError):
                 self.stop()

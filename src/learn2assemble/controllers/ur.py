@@ -42,7 +42,7 @@ from learn2assemble.controllers.ur_motion import (
     stop_script,
 )
 from learn2assemble.errors import InputError, extra
-from learn2assemble.motion.plant import (
+from learn2assemble.plants.plant import (
     Commands,
     Guards,
     Motion,
@@ -51,7 +51,7 @@ from learn2assemble.motion.plant import (
     Stop,
     ToolReading,
 )
-from learn2assemble.motion.setup import Setup
+from learn2assemble.plants.setup import Setup
 
 STATE, SCRIPTS, DASHBOARD = 30004, 30002, 29999
 """Ports."""
@@ -186,7 +186,7 @@ class UrPlant(Controller):
     # ------------------------------------------------------------ what is carried out
 
     def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         _, odd = self._begin(motion)
         if odd is not None:
             return odd
@@ -274,7 +274,7 @@ class UrPlant(Controller):
             raise PlantError(Stop.LATE, "the arm does not stop")
 
     def close(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         if self._state.isConnected() and self._state.getRuntimeState() == _PLAYING:
             with contextlib.suppress(PlantError):
                 self.stop()

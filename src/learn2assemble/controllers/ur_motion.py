@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.motion.driver import Driver, pose_vector
-from learn2assemble.motion.plant import Commands, Guard, Guards, Motion, ToolCommand
-from learn2assemble.motion.settings import ProgramSettings
+from learn2assemble.plants.plant import Commands, Guard, Guards, Motion, ToolCommand
+from learn2assemble.plants.settings import ProgramSettings
 
 SERIAL, OUTCOME, PROGRESS, BEAT = 36, 37, 38, 42
 """Output registers: number of the program that runs, what came of it, how far it is [ms]; input

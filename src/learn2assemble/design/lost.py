@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.assembly.appearance import millimetres
+from learn2assemble.assembly.instructions.appearance import millimetres
 from learn2assemble.design.lattice import HALF, MAX_CELLS, misfit
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 
-from learn2assemble.assembly.appearance import millimetres
 from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.instructions.appearance import millimetres
 from learn2assemble.design import drawings, solids
 from learn2assemble.design.cells import CellDesign, Origin, design_of, floating
 from learn2assemble.design.dxf import read_dxf

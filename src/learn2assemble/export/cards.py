@@ -8,9 +8,9 @@ from string import Template
 
 import numpy as np
 
-from learn2assemble.assembly.appearance import rgb
 from learn2assemble.assembly.blocks import Assembly
-from learn2assemble.assembly.instruction_words import BILL_HEAD, CUT_HEAD, DOT, HEAD, reading_words
+from learn2assemble.assembly.instructions.appearance import rgb
+from learn2assemble.assembly.instructions.words import BILL_HEAD, CUT_HEAD, DOT, HEAD, reading_words
 from learn2assemble.export import asset
 from learn2assemble.export.pictures import (
     Booklet,
@@ -36,7 +36,7 @@ _UNITS = 40
 def step_cards(assembly: Assembly) -> str:
     """A stand-alone HTML document: a cover with the bill of blocks, and cards that tell the steps.
 
-    What the cards say is :func:`learn2assemble.assembly.instructions.instructions`; equal figures
+    What the cards say is :func:`~.steps.instructions`; equal figures
     are stored once.
     """
     book = booklet(assembly)

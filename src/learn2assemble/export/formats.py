@@ -16,16 +16,16 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from learn2assemble.assembly.appearance import colour_words, kinds_and_colours, rgb
 from learn2assemble.assembly.blocks import Assembly, Block, fan_triangles
 from learn2assemble.assembly.bricks.ldraw import to_ldraw
 from learn2assemble.assembly.compas import write_compas
 from learn2assemble.assembly.contacts import GROUND, find_contacts
 from learn2assemble.assembly.cuts import POST, Cut, cut_of
 from learn2assemble.assembly.files import read_assembly, write_assembly
-from learn2assemble.assembly.instructions import shapes_of
+from learn2assemble.assembly.instructions.appearance import colour_words, kinds_and_colours, rgb
+from learn2assemble.assembly.instructions.shapes import Shapes
+from learn2assemble.assembly.instructions.steps import shapes_of
 from learn2assemble.assembly.parts import convex_parts
-from learn2assemble.assembly.shapes import Shapes
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
 from learn2assemble.export.cards import step_cards

@@ -7,9 +7,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from learn2assemble.assembly.appearance import rgb
 from learn2assemble.assembly.blocks import Assembly
-from learn2assemble.assembly.instruction_words import BILL_HEAD, CUT_HEAD, DOT, HEAD, reading_words
+from learn2assemble.assembly.instructions.appearance import rgb
+from learn2assemble.assembly.instructions.words import BILL_HEAD, CUT_HEAD, DOT, HEAD, reading_words
 from learn2assemble.export.pictures import (
     Booklet,
     Card,

@@ -9,7 +9,14 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, Block
-from learn2assemble.assembly.instruction_words import (
+from learn2assemble.assembly.instructions.shapes import BlockShape
+from learn2assemble.assembly.instructions.steps import (
+    Group,
+    Instructions,
+    Placement,
+    instructions,
+)
+from learn2assemble.assembly.instructions.words import (
     before_words,
     bill_words,
     corner_words,
@@ -23,13 +30,6 @@ from learn2assemble.assembly.instruction_words import (
     steps_words,
     way_words,
 )
-from learn2assemble.assembly.instructions import (
-    Group,
-    Instructions,
-    Placement,
-    instructions,
-)
-from learn2assemble.assembly.shapes import BlockShape
 from learn2assemble.export.projection import DrawnScene, Figure, project
 
 _WAYS = np.array([(0, 0, 1), (0, -1, 0), (-1, 0, 0), (1, 0, 0), (0, 1, 0)], float)

@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
+from learn2assemble.kinematics.chain import forward_many, get_chain
 from learn2assemble.motion.driver import driver_of
 from learn2assemble.motion.places import Lying, PickPlace, half_turn, ranges
 from learn2assemble.motion.program import Program
-from learn2assemble.motion.settings import ProgramSettings
+from learn2assemble.plants.settings import ProgramSettings
 from learn2assemble.robot.arm import Arm, get_arm
-from learn2assemble.robot.kinematics import forward_many, get_chain
 
 PLACE_HEAD = ("Place", "Kind", "Blocks", "World, mm", "Turn", "Base, mm", "Refill")
 """Of the table of places, see :func:`place_rows`."""

@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull  # pyright: ignore[reportMissingTypeStubs]
 
 from learn2assemble.assembly.blocks import Block
 from learn2assemble.assembly.bricks.mates import HEIGHT, RADIUS, knobs_on
-from learn2assemble.assembly.instructions import Group, Instructions
+from learn2assemble.assembly.instructions.steps import Group, Instructions
 from learn2assemble.assembly.parts import convex_parts
 
 _TOWARDS = np.array([-0.55, -1.0, 0.75])

@@ -27,15 +27,15 @@ from learn2assemble.motion.knots import usage
 from learn2assemble.motion.places import PickPlace
 from learn2assemble.motion.program import Program, make_program
 from learn2assemble.motion.record import BuildRecord
-from learn2assemble.motion.settings import SLOWEST_SHARE, ProgramSettings, read_settings
 from learn2assemble.motion.waits import on_one_clock, with_waits
+from learn2assemble.plants.settings import SLOWEST_SHARE, ProgramSettings, read_settings
 from learn2assemble.registry import Registry
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.registry import ARMS
 from learn2assemble.values import mapping, number
 
 if TYPE_CHECKING:
-    from learn2assemble.simulation.dry_run import DryRun
+    from learn2assemble.handling.dry_run import DryRun
 
 # ---------------------------------------------------------------- all formats
 
@@ -290,6 +290,6 @@ def replay_program(path: str | Path, arm: str) -> DryRun:
         InputError: see :func:`read_program`.
         MissingExtraError: without the extra ``robot``.
     """
-    from learn2assemble.simulation.dry_run import play
+    from learn2assemble.handling.dry_run import play
 
     return play(*read_program(path, arm))

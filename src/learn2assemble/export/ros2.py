@@ -34,12 +34,12 @@ from learn2assemble.geometry.rotations import (
     quaternion_product,
     rotate_vectors,
 )
+from learn2assemble.kinematics.chain import forward_many, get_chain
 from learn2assemble.motion.driver import driver_of
 from learn2assemble.motion.knots import Knots, usage
 from learn2assemble.motion.program import Program, ToolState, motions
 from learn2assemble.motion.waits import on_one_clock
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.kinematics import forward_many, get_chain
 from learn2assemble.robot.moves import STAGES
 from learn2assemble.values import load_json
 

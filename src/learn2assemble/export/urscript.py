@@ -19,12 +19,12 @@ from learn2assemble.export.place_words import plain, preparation, size_words, wo
 from learn2assemble.export.robot_tables import changes
 from learn2assemble.files import write_file
 from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.kinematics.chain import forward_many, get_chain
 from learn2assemble.motion.driver import driver_of, pose_vector
 from learn2assemble.motion.program import Program, ProgramStep, Wait, motions
-from learn2assemble.motion.settings import ProgramSettings
 from learn2assemble.motion.waits import BY_HAND
+from learn2assemble.plants.settings import ProgramSettings
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.kinematics import forward_many, get_chain
 
 ROUND = 5e-4
 """A line between two joint positions is nowhere farther from the planned path [rad]."""

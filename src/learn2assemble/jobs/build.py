@@ -55,7 +55,7 @@ from learn2assemble.statics.proofs import Bounds, value_range
 if TYPE_CHECKING:
     from learn2assemble.cell.reach import ReachReport
     from learn2assemble.cell.site import Site
-    from learn2assemble.cell.team import TeamReach
+    from learn2assemble.team.members import TeamReach
 
 SUPPORTS = ("auto", "none", "props", "posts")
 """What may carry blocks until they carry themselves."""
@@ -142,7 +142,7 @@ def build(
             exists, the build goes on from it.
         old: a structure of dry blocks that stands already, or its file (:func:`~learn2assemble.
             assembly.files.read_assembly`): the plan begins with it and turns it into the design
-            with its own blocks (:func:`learn2assemble.planning.rebuild.rebuild`): a drawing is
+            with its own blocks (:func:`~.rebuild.rebuild`): a drawing is
             filled with those alone, with others of their kinds, or with any of the kit, whichever
             takes the fewest moves. One arm or two may carry it out, by way of magazines.
         reading: how to read a file or an array: ``unit``, ``cell``, ``size``, ``up``, ``depth``,
@@ -245,7 +245,7 @@ def build(
         kit = kit_of(found, kit)
         props = supports != "none"
         if standing is not None:
-            from learn2assemble.planning.rebuild import fewest_moved, kits_from
+            from learn2assemble.planning.rebuilding.rebuild import fewest_moved, kits_from
 
             kits = kits_from(kit, standing)
             given["seconds"] = limit / len(kits)
@@ -270,7 +270,7 @@ def build(
         plan = replace(plan, design=replace(plan.design, source=source))
     if standing is None:
         return _with_friction(plan, friction)
-    from learn2assemble.planning.rebuild import fewest_moved
+    from learn2assemble.planning.rebuilding.rebuild import fewest_moved
 
     plan = _with_friction(fewest_moved(standing, [plan], limit, progress), friction)
     joint = found.kit.joint_gap if isinstance(found, Goals) else 0.0
@@ -308,7 +308,7 @@ def reach(
     plan = build(design, planner="exact", kit=kit, seconds=seconds, **reading)
     studs = 0.0 if plan.assembly is None else plan.assembly.joint.studs
     if how.several:
-        from learn2assemble.cell.team import report_team
+        from learn2assemble.team.members import report_team
 
         return report_team(plan, with_tools(how.team()[0], studs))
     from learn2assemble.cell.reach import report_reach

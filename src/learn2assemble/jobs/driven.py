@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learn2assemble.cell.building import Building
+from learn2assemble.acting.building import Building
 from learn2assemble.cell.world import MISSING
-from learn2assemble.motion.plant import (
+from learn2assemble.plants.plant import (
     Commands,
     Guards,
     Motion,
@@ -25,7 +25,7 @@ from learn2assemble.motion.plant import (
     WrappedPlant,
     standing,
 )
-from learn2assemble.motion.setup import Setup
+from learn2assemble.plants.setup import Setup
 from learn2assemble.values import rounded
 
 IN_HAND = "hand"
@@ -73,7 +73,7 @@ class Timed(WrappedPlant):
         """When it sensed last [s of the plant's clock]."""
 
     def sense(self) -> Readings:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         begun = time.perf_counter()
         found = self.plant.sense()
         self.waited, self.looks = self.waited + time.perf_counter() - begun, self.looks + 1
@@ -81,7 +81,7 @@ class Timed(WrappedPlant):
         return found
 
     def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         report = self.plant.execute(motion, commands, guards)
         stands = not commands and not np.ptp(motion.joints, 0).any()
         if report.stop is Stop.END and motion.seconds and not stands:

@@ -24,11 +24,11 @@ from learn2assemble.planning.tiling.planners import EXACT, PLANNERS, PlannerChoi
 from learn2assemble.robot.registry import ARMS, TOOLS
 
 if TYPE_CHECKING:
-    from learn2assemble.cell.carry_out import Workcell
-    from learn2assemble.cell.crew import Member
+    from learn2assemble.acting.carry_out import Workcell
     from learn2assemble.cell.site import Site
     from learn2assemble.cell.site_arms import SiteArm
     from learn2assemble.cell.workcell import StepOf
+    from learn2assemble.team.crew import Member
 
 
 DEFAULT_TOOL, FINGERS = "suction", "gripper"
@@ -101,7 +101,7 @@ class ArmChoice(NamedTuple):
         Args:
             studs: of the blocks, how far apart they are [m]; 0: they have none.
         """
-        from learn2assemble.cell.carry_out import Workcell
+        from learn2assemble.acting.carry_out import Workcell
 
         (one, *_), site = self.team()
         if one.base is not None:
@@ -206,7 +206,7 @@ def goals_plan(
     plan = plan_goals(goals, seed=planner.seed, **given)
     if workcell is None:
         return plan
-    from learn2assemble.cell.carry_out import carry_out
+    from learn2assemble.acting.carry_out import carry_out
     from learn2assemble.cell.site import with_obstacles
 
     workcell = replace(workcell, site=with_obstacles(workcell.site, goals))
@@ -218,7 +218,7 @@ def blocks_plan(
     blocks: Assembly, workcell: Workcell | None, help_: Help, given: dict[str, Any]
 ) -> Plan:
     """The plan of given blocks, with a note where the unit of their sizes is in doubt."""
-    from learn2assemble.assembly.appearance import unit_doubt
+    from learn2assemble.assembly.instructions.appearance import unit_doubt
 
     plan = _blocks_plan(blocks, workcell, help_, given)
     if not (doubt := unit_doubt(blocks)):
@@ -245,7 +245,7 @@ def _blocks_plan(
     else:
         _check_pressed(blocks, supports)
         plan = plan_for_arm(blocks)
-    from learn2assemble.cell.carry_out import carry_out
+    from learn2assemble.acting.carry_out import carry_out
 
     return carry_out(plan, workcell, joint=0.0, progress=given["progress"])
 
@@ -261,7 +261,7 @@ def bricks_plan(
     from learn2assemble.linear_programs import Clock
     from learn2assemble.planning.brick_plan import plan_for_arm
     from learn2assemble.planning.sequence import Supports
-    from learn2assemble.planning.tiling.bricks import plan_brick_cells
+    from learn2assemble.planning.tiling.cover.bricks import plan_brick_cells
 
     if np.allclose(design.cell, kit.pitch, rtol=1e-6):
         kit = with_plates(kit)
@@ -272,7 +272,7 @@ def bricks_plan(
     plan = plan_brick_cells(design, kit, bricks, clock, progress, shell=shell, seed=planner.seed)
     if workcell is None or plan.assembly is None or not plan.complete:
         return plan
-    from learn2assemble.cell.carry_out import carry_out
+    from learn2assemble.acting.carry_out import carry_out
 
     ordered = replace(
         plan_for_arm(plan.assembly),
@@ -311,7 +311,7 @@ def cells_plan(
     by_arm = PLANNERS[planner.name].carry_out
     if by_arm is not None:
         return by_arm(plan_with, design.wanted, kit, workcell, given["progress"])
-    from learn2assemble.cell.carry_out import carry_out_cells
+    from learn2assemble.acting.carry_out import carry_out_cells
 
     return carry_out_cells(plan_with(kit), kit, workcell, given["progress"], plan_with)
 
@@ -350,9 +350,9 @@ def team_plan(
     Raises:
         InputError: for goals and mortar, and for arms that cannot build it together.
     """
-    from learn2assemble.cell.in_turn import build_by_two
-    from learn2assemble.cell.pair import bricks_by_team, shared_by_team
-    from learn2assemble.cell.team import plan_by_team
+    from learn2assemble.team.in_turn import build_by_two
+    from learn2assemble.team.members import plan_by_team
+    from learn2assemble.team.pair import bricks_by_team, shared_by_team
 
     if isinstance(design, Goals):
         raise InputError("goals", f"{len(how.arms)} arms", "one arm, or a design")
@@ -403,16 +403,16 @@ def rebuilt_by(how: ArmChoice, plan: Plan, joint: float, progress: Callable[[str
     magazine of its kind, and comes from there.
 
     Args:
-        plan: of :func:`learn2assemble.planning.rebuild.rebuild`.
+        plan: of :func:`learn2assemble.planning.rebuilding.rebuild.rebuild`.
         joint: width of a vertical joint [m].
 
     Raises:
         InputError: for what the arms cannot hold or reach.
     """
-    from learn2assemble.cell.carry_out import carry_out
-    from learn2assemble.cell.in_turn import build_by_two
-    from learn2assemble.cell.team import told_of
-    from learn2assemble.planning.rebuild import with_copies
+    from learn2assemble.acting.carry_out import carry_out
+    from learn2assemble.planning.rebuilding.rebuild import with_copies
+    from learn2assemble.team.in_turn import build_by_two
+    from learn2assemble.team.members import told_of
 
     if not plan.complete or plan.assembly is None:
         return plan
@@ -433,8 +433,8 @@ def _team(
     Args:
         studs: of the blocks, how far apart they are [m]; 0: they have none.
     """
-    from learn2assemble.cell.team import set_up_team
     from learn2assemble.cell.workcell import Workcell
+    from learn2assemble.team.members import set_up_team
 
     arms, site = how.team()
     if site.cameras:

@@ -15,34 +15,34 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from learn2assemble.cell.building import Building, Prepared
-from learn2assemble.cell.carry_out import (
+from learn2assemble.acting.building import Building, Prepared
+from learn2assemble.acting.carry_out import (
     key_of,
     no_pictures,
     prepare,
     setup_of,
     through_cameras,
 )
-from learn2assemble.cell.crew import Member
-from learn2assemble.cell.in_turn import two_arms
-from learn2assemble.cell.journal import Kept
-from learn2assemble.cell.pair import bricks_by_team
-from learn2assemble.cell.report import Witness, Worked, carried_out, words_of
+from learn2assemble.acting.journal import Kept
+from learn2assemble.acting.report import Witness, Worked, carried_out, words_of
+from learn2assemble.acting.state import Action
 from learn2assemble.cell.site import Site, read_site
 from learn2assemble.cell.site_arms import SiteArm
-from learn2assemble.cell.state import Action
-from learn2assemble.cell.team import set_up_team
-from learn2assemble.cell.together import built_by
 from learn2assemble.cell.workcell import StepOf, Workcell
 from learn2assemble.errors import InputError, check_name
 from learn2assemble.jobs.driven import Link, Timed, check_robot, take_away
-from learn2assemble.motion.plant import Plant, PlantError, Stop
-from learn2assemble.motion.remote import RemotePlant, in_process
-from learn2assemble.motion.robots import Robots
-from learn2assemble.motion.safety import Guarded, check_share
-from learn2assemble.motion.setup import WALL, Setup, Surroundings, check_address, open_plant
-from learn2assemble.motion.trust import Placements, Trusted
 from learn2assemble.planning.plan import Plan, load_plan
+from learn2assemble.plants.plant import Plant, PlantError, Stop
+from learn2assemble.plants.remote import RemotePlant, in_process
+from learn2assemble.plants.robots import Robots
+from learn2assemble.plants.safety import Guarded, check_share
+from learn2assemble.plants.setup import WALL, Setup, Surroundings, check_address, open_plant
+from learn2assemble.plants.trust import Placements, Trusted
+from learn2assemble.team.crew import Member
+from learn2assemble.team.in_turn import two_arms
+from learn2assemble.team.members import set_up_team
+from learn2assemble.team.pair import bricks_by_team
+from learn2assemble.team.together import built_by
 
 SIMULATION = "sim://"
 T = TypeVar("T")
@@ -54,7 +54,7 @@ class Ran(NamedTuple):
     plan: Plan
     """The plan as far as it was carried out."""
     stop: Stop
-    """Why it ended: :attr:`~learn2assemble.motion.plant.Stop.END` where nothing went wrong with a
+    """Why it ended: :attr:`~learn2assemble.plants.plant.Stop.END` where nothing went wrong with a
     robot, also where the run was paused or the arms can go on with nothing."""
     reason: str | None
     """In words; None where everything is done."""
@@ -349,7 +349,7 @@ class _CellOfTwo:
         self.cell: Any = None
 
     def opened(self, setup: Setup) -> Any:
-        """See :class:`~learn2assemble.cell.together.Together`: all robots are there, and ready."""
+        """See :class:`~learn2assemble.team.together.Together`: all robots are there, and ready."""
         around, setup = self.order.around, setup._replace(around=self.order.around)
         arms = (setup.arm, *setup.others)
         self.setups = [setup._replace(arm=arm, others=()) for arm in arms]
@@ -373,7 +373,7 @@ class _CellOfTwo:
             raise PlantError(error.stop, f"{self.names[who]}: {error.why}") from None
 
     def through(self, who: int, plant: Plant) -> Plant:
-        """See :class:`~learn2assemble.cell.together.Together`."""
+        """See :class:`~learn2assemble.team.together.Together`."""
         timed, driven = self._stack(who, plant)
         self.driven.append(timed)
         return driven

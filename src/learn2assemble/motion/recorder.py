@@ -11,9 +11,9 @@ import numpy as np
 from learn2assemble.constants import EDGE
 from learn2assemble.geometry.hulls import Hull
 from learn2assemble.geometry.rotations import yaw_quaternion
+from learn2assemble.kinematics.chain import forward_many, get_chain
 from learn2assemble.motion.record import RATE, BuildRecord, Samples, Stage, StepRecord, arm_facts
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.kinematics import forward_many, get_chain
 from learn2assemble.robot.moves import STAGES, Attempt, Move, Outcome, Scene, Trajectory, carried
 
 LOST = 0.008

@@ -23,14 +23,14 @@ import numpy as np
 
 from learn2assemble.errors import InputError, Learn2AssembleError
 from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.kinematics.capsules import Capsules, capsules_of, in_hand, solid_capsules
+from learn2assemble.kinematics.chain import forward_many, get_chain
+from learn2assemble.kinematics.sweeps import Sweep, clear, sweep
 from learn2assemble.motion.knots import Knots
 from learn2assemble.motion.program import Program, Wait, motions
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.bodies import Part
-from learn2assemble.robot.capsules import Capsules, capsules_of, in_hand, solid_capsules
-from learn2assemble.robot.kinematics import forward_many, get_chain
 from learn2assemble.robot.moves import STAGES
-from learn2assemble.robot.sweeps import Sweep, clear, sweep
 
 APART = 0.012
 """So far arms keep from each other [m]: where both move at once they were planned to by more."""

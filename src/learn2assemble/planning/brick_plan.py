@@ -12,7 +12,7 @@ from learn2assemble.planning.given_plan import plan_of
 from learn2assemble.planning.orders import BrickOrder
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.sequence import Sequenced, SequenceStep, Supports
-from learn2assemble.statics.holding_check import JointAnswer, stands_by_joints, words_of
+from learn2assemble.statics.holding.check import JointAnswer, stands_by_joints, words_of
 
 VERIFIED = "balance of joints that hold, in every step, also under its press"
 _LEAST = 1.0

@@ -17,7 +17,7 @@ from learn2assemble.assembly.blocks import Assembly, AssemblyStep
 from learn2assemble.assembly.bricks.lattice import GROUND
 from learn2assemble.assembly.bricks.mates import BrickMates
 from learn2assemble.planning.sequence import Doing, Supports, Transition, Way
-from learn2assemble.statics.holding import Push
+from learn2assemble.statics.holding.program import Push
 from learn2assemble.statics.laws import ByStrength
 from learn2assemble.statics.states import State
 

@@ -37,13 +37,13 @@ from learn2assemble.planning.sequence import (
     list_ids,
     reported,
 )
-from learn2assemble.statics.holding_check import JointAnswer, stands_by_joints, words_of
+from learn2assemble.statics.holding.check import JointAnswer, stands_by_joints, words_of
 from learn2assemble.statics.laws import ByForces, ByLoads, ByMortar, ByStrength, Law
 from learn2assemble.statics.rigid_blocks import SIDE
 from learn2assemble.statics.states import State
 
 if TYPE_CHECKING:
-    from learn2assemble.statics.holding import Need
+    from learn2assemble.statics.holding.program import Need
 
 _SMALL = 10
 """Blocks up to which the fewest posts are looked for."""

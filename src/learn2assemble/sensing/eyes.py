@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
-from learn2assemble.motion.plant import (
+from learn2assemble.kinematics.chain import Chain, forward, get_chain
+from learn2assemble.plants.plant import (
     BlockReading,
     Commands,
     Guards,
@@ -30,7 +31,6 @@ from learn2assemble.motion.plant import (
 )
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.bodies import Shape, body_of
-from learn2assemble.robot.kinematics import Chain, forward, get_chain
 from learn2assemble.sensing.camera import DepthCamera, DepthPicture, rotation
 from learn2assemble.sensing.pictures import ArmPicture, without_arm
 from learn2assemble.sensing.registration import Believed, Look, Seen, register
@@ -102,7 +102,7 @@ class SeeingPlant(WrappedPlant):
     # ------------------------------------------------------------ as a plant
 
     def sense(self) -> Readings:
-        """See :class:`~learn2assemble.motion.plant.Plant`; two looks within the time of a picture
+        """See :class:`~learn2assemble.plants.plant.Plant`; two looks within the time of a picture
         show the same one, and none is taken at the moment at which the tool takes hold or lets
         go."""
         readings = self.plant.sense()
@@ -116,13 +116,13 @@ class SeeingPlant(WrappedPlant):
         return readings._replace(blocks=self.last[1])
 
     def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         report = self.plant.execute(motion, commands, guards)
         self._follow(report)
         return report
 
     def request(self, request: Request) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         report = self.plant.request(request)
         if report.stop == Stop.END:
             if request.what == "join":

@@ -16,8 +16,8 @@ import mujoco
 import numpy as np
 
 from learn2assemble.kernels import kernel
-from learn2assemble.motion.plant import Plant, Readings
-from learn2assemble.motion.setup import Setup
+from learn2assemble.plants.plant import Plant, Readings
+from learn2assemble.plants.setup import Setup
 from learn2assemble.robot.arm import Arm, arm_model
 from learn2assemble.robot.bodies import Shape
 from learn2assemble.robot.scene import mesh_of

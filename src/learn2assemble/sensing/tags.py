@@ -14,7 +14,7 @@ import numpy as np
 
 from learn2assemble.errors import InputError, extra, look_up
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
-from learn2assemble.motion.plant import BlockReading
+from learn2assemble.plants.plant import BlockReading
 from learn2assemble.sensing.camera import DepthCamera, DepthPicture, rotation
 
 FAMILIES = {"tag36h11": 8, "tag25h9": 7, "tag16h5": 6}

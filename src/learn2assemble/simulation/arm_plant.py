@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
-from learn2assemble.motion.plant import (
+from learn2assemble.kinematics.chain import forward, get_chain
+from learn2assemble.plants.plant import (
     Commands,
     Guards,
     Motion,
@@ -18,7 +19,6 @@ from learn2assemble.motion.plant import (
     Stop,
     ToolCommand,
 )
-from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.simulation.bench import Bench
 from learn2assemble.simulation.disturbances import Straying
 from learn2assemble.simulation.dynamic_world import DynamicWorld
@@ -63,13 +63,13 @@ class ArmPlant:
     # ------------------------------------------------------------ as a plant
 
     def sense(self) -> Readings:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         cell, sim = self.cell, self.bench.sim
         cell.take_poses()
         return cell.seen(sim.time, *self.measured(), self.bench.feel())._replace(arm=self.arm.name)
 
     def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         cell, sim = self.cell, self.bench.sim
         check_motion(self.arm, motion.joints, sim.joints)
         self._begin()
@@ -106,20 +106,20 @@ class ArmPlant:
         return report
 
     def request(self, request: Request) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         self._begin()
         if request.what == "join":
             self._brings.add(request.block)
         return self.cell.request(request)._replace(joints=self.where())
 
     def stop(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`: an arm that was left moving brakes."""
+        """See :class:`~learn2assemble.plants.plant.Plant`: an arm that was left moving brakes."""
         self.bench.brake()
         self.cell.take_poses()
         self.bench.sim.forget()
 
     def close(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
 
     # ------------------------------------------------------------ the simulation
 

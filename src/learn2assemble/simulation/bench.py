@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from learn2assemble.motion.plant import Commands, Guard, Guards, Motion, Report, Stop, ToolReading
+from learn2assemble.kinematics.chain import forward, get_chain
+from learn2assemble.kinematics.time_law import PathSamples, load_ruckig
 from learn2assemble.motion.program import LOAD_TIME
-from learn2assemble.robot.kinematics import forward, get_chain
+from learn2assemble.plants.plant import Commands, Guard, Guards, Motion, Report, Stop, ToolReading
 from learn2assemble.robot.moves import Failure, Outcome
 from learn2assemble.simulation.contacts import BLIND, Rules, Watch
 from learn2assemble.simulation.model import TIMESTEP
 from learn2assemble.simulation.simulation import BLOCK, HOLDS, Simulation
-from learn2assemble.simulation.trajectory import PathSamples, load_ruckig
 
 GRIPPED = 0.8
 """The grasp holds when both fingers press with this share of their force."""
@@ -72,7 +72,7 @@ class Bench:
         return ToolReading(width=float(sim.opening), grip=grip, force=push)
 
     def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         sim = self.sim
         first, begun, run = sim.samples(), sim.time, sampled(motion)
         count = len(run.position)

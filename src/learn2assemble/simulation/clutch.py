@@ -1,6 +1,6 @@
 r"""Bricks that clutch, in the simulation: pressed home by a force, held up to their capacity.
 
-The law is that of the proofs (:mod:`learn2assemble.statics.holding_forces`): a contact point of a
+The law is that of the proofs (:mod:`learn2assemble.statics.holding.forces`): a contact point of a
 knob pushes, or pulls up to its capacity :math:`T`; sideways forces and a couple about the vertical
 are free. So a joint that bears the force :math:`F` and the couple :math:`M` (on its upper brick,
 about the middle of its lower side) holds as long as pushes at its contact points add up to them

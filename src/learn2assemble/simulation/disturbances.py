@@ -19,8 +19,8 @@ from learn2assemble.geometry.rotations import (
     yaw_matrix,
     yaw_quaternion,
 )
-from learn2assemble.motion.plant import BlockReading
-from learn2assemble.motion.setup import BlockKind, Disturbance, Noise, Simulated
+from learn2assemble.plants.plant import BlockReading
+from learn2assemble.plants.setup import BlockKind, Disturbance, Noise, Simulated
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.bodies import Part, Shape
 

@@ -16,11 +16,10 @@ import numpy as np
 from learn2assemble.constants import GRAVITY
 from learn2assemble.geometry.hulls import Hull
 from learn2assemble.geometry.rotations import quaternion_matrix, quaternion_product
-from learn2assemble.motion.setup import Setup
+from learn2assemble.plants.setup import Setup
 from learn2assemble.robot.moves import Scene
 from learn2assemble.robot.studs import GROUND, StudJoint, Studs
 from learn2assemble.simulation.bench import Bench
-from learn2assemble.simulation.cell import WorldForces, Worlds
 from learn2assemble.simulation.clock import SharedClock
 from learn2assemble.simulation.clutch import NOTHING_MADE, Clutch, Made
 from learn2assemble.simulation.contacts import BLIND
@@ -28,6 +27,7 @@ from learn2assemble.simulation.model import TIMESTEP
 from learn2assemble.simulation.objects import SHRINK, Objects, group
 from learn2assemble.simulation.simulation import NOBODY, SimulatedState
 from learn2assemble.simulation.things import SimulatedCell
+from learn2assemble.simulation.worlds import WorldForces, Worlds
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,7 +11,8 @@ import numpy as np
 
 from learn2assemble.geometry.hulls import separation
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
-from learn2assemble.motion.plant import (
+from learn2assemble.kinematics.chain import Chain, forward, get_chain
+from learn2assemble.plants.plant import (
     Commands,
     Guards,
     Motion,
@@ -22,9 +23,8 @@ from learn2assemble.motion.plant import (
     ToolCommand,
     ToolReading,
 )
-from learn2assemble.motion.setup import Setup
+from learn2assemble.plants.setup import Setup
 from learn2assemble.robot.bodies import Shape, solids
-from learn2assemble.robot.kinematics import Chain, forward, get_chain
 from learn2assemble.simulation.disturbances import Straying
 from learn2assemble.simulation.things import SimulatedCell, bounds, bounds_at, check_motion, nearest
 
@@ -61,11 +61,11 @@ class KinematicPlant(SimulatedCell):
         """The block in it, its position float64[3] and rotation in the tool frame."""
 
     def sense(self) -> Readings:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         return self.seen(self.time, self.joints.copy(), np.zeros_like(self.joints), self._feel())
 
     def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         check_motion(self.arm, motion.joints, self.joints)
         moves = bool(len(motion.joints) and np.ptp(motion.joints, axis=0).any())
         stop, seconds = Stop.END, motion.seconds

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from learn2assemble.motion.plant import Commands, Guards, Motion, Plant, Readings, Report
-from learn2assemble.motion.setup import Setup
+from learn2assemble.plants.plant import Commands, Guards, Motion, Plant, Readings, Report
+from learn2assemble.plants.setup import Setup
 from learn2assemble.registry import Registry
 from learn2assemble.simulation.arm_plant import ArmPlant
 from learn2assemble.simulation.bench import Bench
@@ -76,15 +76,15 @@ class DynamicPlant(DynamicWorld):
         return self.plants[0].bench
 
     def sense(self) -> Readings:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         return self.plants[0].sense()
 
     def execute(self, motion: Motion, commands: Commands = (), guards: Guards = ()) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         return self.plants[0].execute(motion, commands, guards)
 
     def stop(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`: an arm that moves brakes as soon as its
+        """See :class:`~learn2assemble.plants.plant.Plant`: an arm that moves brakes as soon as its
         limits allow."""
         self.plants[0].stop()
 

@@ -16,7 +16,10 @@ import numpy as np
 
 from learn2assemble.errors import SimulationDivergedError
 from learn2assemble.geometry.rotations import rotate_vectors
-from learn2assemble.motion.plant import Played
+from learn2assemble.kinematics.time_law import (
+    PathSamples,
+)
+from learn2assemble.plants.plant import Played
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.moves import STAGES, Failure, Outcome, Trajectory
 from learn2assemble.simulation.clutch import Clutch
@@ -26,9 +29,6 @@ from learn2assemble.simulation.disturbances import Straying
 from learn2assemble.simulation.drives import Drives
 from learn2assemble.simulation.model import TIMESTEP, ArmParts, SimulatedWorld
 from learn2assemble.simulation.objects import Objects
-from learn2assemble.simulation.trajectory import (
-    PathSamples,
-)
 
 
 def diverged(

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.geometry.rotations import quaternion_matrix
-from learn2assemble.motion.plant import PlantError, Readings, Report, Request, Stop, ToolReading
-from learn2assemble.motion.setup import BlockKind, Setup
+from learn2assemble.plants.plant import PlantError, Readings, Report, Request, Stop, ToolReading
+from learn2assemble.plants.setup import BlockKind, Setup
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.bodies import Shape, body_of, overlaps, solids
 from learn2assemble.simulation.disturbances import (
@@ -79,7 +79,7 @@ class SimulatedCell:
     # ------------------------------------------------------------ what a plant answers
 
     def request(self, request: Request) -> Report:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
         name, known = request.block, request.block in self.things
         in_hand = self.in_hand(name)
         if request.what == "present" and not known and request.kind in self.setup.kinds:
@@ -102,10 +102,10 @@ class SimulatedCell:
         return self._report(Stop.END, "")
 
     def stop(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`: it stands between two motions."""
+        """See :class:`~learn2assemble.plants.plant.Plant`: it stands between two motions."""
 
     def close(self) -> None:
-        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        """See :class:`~learn2assemble.plants.plant.Plant`."""
 
     def seen(
         self, time: float, joints: np.ndarray, velocity: np.ndarray, tool: ToolReading

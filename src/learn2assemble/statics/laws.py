@@ -2,7 +2,7 @@
 
 Where all joints are level, loads are passed down block by block (:mod:`.step_proof`), which needs
 no friction; else forces in Coulomb's cone balance the state (:mod:`.states`). Joints that hold bear
-what their strength allows (:mod:`.holding`).
+what their strength allows (:mod:`.holding.program`).
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import Contacts, shrunk
 from learn2assemble.assembly.hands import Hand
 from learn2assemble.linear_programs import INF, Clock
-from learn2assemble.statics.holding import Balance, Push, balance_of
-from learn2assemble.statics.holding_check import JointAnswer, margin_n, reference
-from learn2assemble.statics.holding_forces import among
-from learn2assemble.statics.holding_near import NearForces
+from learn2assemble.statics.holding.check import JointAnswer, margin_n, reference
+from learn2assemble.statics.holding.forces import among
+from learn2assemble.statics.holding.near import NearForces
+from learn2assemble.statics.holding.program import Balance, Push, balance_of
 from learn2assemble.statics.proofs import CLUTCH, CLUTCH_TIGHT, LOCAL, MORTAR, PROGRAM
 from learn2assemble.statics.sideways import Sideways
 from learn2assemble.statics.states import Pushes, State, States

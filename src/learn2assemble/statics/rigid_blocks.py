@@ -1,6 +1,6 @@
 """Whether any assembly of rigid polyhedral blocks stands, and on what that rests.
 
-The blocks touch with dry friction (:mod:`.equilibrium`), or joints hold (:mod:`.holding_check`).
+The blocks touch with dry friction (:mod:`.equilibrium`), or joints hold (:mod:`.holding.check`).
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from learn2assemble.assembly.contacts import (
     widened,
 )
 from learn2assemble.errors import InputError
-from learn2assemble.statics.block_forces import Equilibrium, System
-from learn2assemble.statics.equilibrium import STIFFNESS, answer, lacking, margin, solve
-from learn2assemble.statics.holding_check import (
+from learn2assemble.statics.forces.block_forces import Equilibrium, System
+from learn2assemble.statics.forces.equilibrium import STIFFNESS, answer, lacking, margin, solve
+from learn2assemble.statics.holding.check import (
     corner_forces,
     margin_of,
     reference,

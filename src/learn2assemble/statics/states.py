@@ -21,17 +21,17 @@ from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.assembly.hands import Hand
 from learn2assemble.constants import GRAVITY
 from learn2assemble.geometry.circles import inner_circle
-from learn2assemble.statics.block_factors import elimination_ranks, ranks_of
-from learn2assemble.statics.block_forces import (
+from learn2assemble.statics.forces.block_factors import elimination_ranks, ranks_of
+from learn2assemble.statics.forces.block_forces import (
     BALANCED,
     BALANCED_COUPLED,
     MOVES,
     corner_softness,
     corner_wrenches,
 )
-from learn2assemble.statics.elastic_joints import Joined, add_wrenches
-from learn2assemble.statics.equilibrium import STIFFNESS, solve
-from learn2assemble.statics.hands import NO_HANDS, held_blocks
+from learn2assemble.statics.forces.elastic_joints import Joined, add_wrenches
+from learn2assemble.statics.forces.equilibrium import STIFFNESS, solve
+from learn2assemble.statics.forces.hands import NO_HANDS, held_blocks
 
 _HOPS = 2
 """Contacts by which what a change reaches grows before everything is looked at."""

@@ -157,17 +157,18 @@ def _physics(name: str, task: Task) -> Physics:
 
 
 def _kinematic(name: str, task: Task) -> Physics:
+    from learn2assemble.kinematics.cell import KinematicCell
     from learn2assemble.robot.arm import get_arm
-    from learn2assemble.robot.kinematic import KinematicCell
 
     cell = KinematicCell(get_arm(task.arm), task.max_blocks)
     return ArmPhysics(cell, get_grasps(task.grasps), _physics(BALANCE[name], task))
 
 
 def _dynamic(task: Task) -> Physics:
+    from learn2assemble.handling.dynamic_cell import DynamicCell
+    from learn2assemble.handling.rest import ONE_SIDED
     from learn2assemble.robot.arm import get_arm
-    from learn2assemble.simulation.cell import DynamicCell, WorldForces
-    from learn2assemble.simulation.rest import ONE_SIDED
+    from learn2assemble.simulation.worlds import WorldForces
 
     rule = ONE_SIDED if task.num_sides == 1 else None
     # What the hand does where nothing is near changes nothing for the blocks.

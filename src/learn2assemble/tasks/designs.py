@@ -15,7 +15,7 @@ import numpy as np
 
 from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.planning.tiling.tile import MAX_EXTENT, tile
+from learn2assemble.planning.tiling.cover.tile import MAX_EXTENT, tile
 from learn2assemble.planning.tiling.world import LatticeSite, LatticeWorld, make_site
 from learn2assemble.tasks.task import DesignTask
 

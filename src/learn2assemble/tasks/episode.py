@@ -14,12 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from learn2assemble.errors import InputError
+from learn2assemble.handling.dynamic_cell import DynamicCell
+from learn2assemble.kinematics.cell import KinematicCell
 from learn2assemble.planning import plan as plans
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.grasps import get_grasps as grasps_of
-from learn2assemble.robot.kinematic import KinematicCell
-from learn2assemble.simulation.cell import DynamicCell, WorldForces
+from learn2assemble.simulation.worlds import WorldForces
 from learn2assemble.tasks.built import Built, Made, object_kind, plan_of
 from learn2assemble.tasks.checkers import ArmPhysics
 from learn2assemble.tasks.networks.agent import (

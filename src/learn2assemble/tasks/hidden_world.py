@@ -20,7 +20,7 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.contacts import Contacts, find_contacts, shrunk
-from learn2assemble.statics.equilibrium import solve
+from learn2assemble.statics.forces.equilibrium import solve
 from learn2assemble.statics.rigid_blocks import bed_patches
 from learn2assemble.statics.step_proof import (
     EDGE_INSET,

@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from learn2assemble.constants import EDGE, HALF
 from learn2assemble.geometry.rotations import yaw_quaternion
+from learn2assemble.handling.dynamic_cell import DynamicCell
+from learn2assemble.kinematics.cell import KinematicCell
 from learn2assemble.motion.recorder import BuildRecorder
 from learn2assemble.robot.grasps import QUARTER, along
 from learn2assemble.robot.grasps import get_grasps as grasps_of
-from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import OPENING, Attempt, Move, Scene
 from learn2assemble.robot.scene import rotation_matrix
-from learn2assemble.simulation.cell import DynamicCell
 from learn2assemble.tasks.checkers import scene_of
 from learn2assemble.tasks.task import Task
 from learn2assemble.tasks.world.coverage import FILTERS

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learn2assemble.geometry.rotations import matrix_quaternion
+from learn2assemble.kinematics.shape import LinkPart
 from learn2assemble.motion.record import StepRecord
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.moves import Outcome
-from learn2assemble.robot.shape import LinkPart
 from learn2assemble.viewer.errors import truth_data
 from learn2assemble.viewer.html import NUMBER, packed, row, speed_options, to_base64
 from learn2assemble.viewer.playback import Playback, PlayedArm, ReplaySegment, split, standing

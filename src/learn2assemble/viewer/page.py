@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.assembly.appearance import has_leaning_face
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import Contacts
-from learn2assemble.assembly.instruction_words import count_words, length_words, reading_words
-from learn2assemble.assembly.instructions import Instructions, instructions
+from learn2assemble.assembly.instructions.appearance import has_leaning_face
+from learn2assemble.assembly.instructions.steps import Instructions, instructions
+from learn2assemble.assembly.instructions.words import count_words, length_words, reading_words
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError, as_both, listed
 from learn2assemble.files import write_file

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from learn2assemble.assembly.appearance import COLOURS, kinds_and_colours, rgb
 from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.instructions.appearance import COLOURS, kinds_and_colours, rgb
 from learn2assemble.assembly.parts import convex_parts
 from learn2assemble.errors import InputError
 from learn2assemble.files import write_file
+from learn2assemble.kinematics.shape import Mesh
 from learn2assemble.planning.plan import Plan, PlanBox
-from learn2assemble.robot.shape import Mesh
 from learn2assemble.viewer import renderer
 from learn2assemble.viewer.words import percent
 

@@ -7,7 +7,7 @@ from html import escape
 
 import numpy as np
 
-from learn2assemble.assembly.instruction_words import extent_words, length_words
+from learn2assemble.assembly.instructions.words import extent_words, length_words
 from learn2assemble.motion.places import Lying, PickPlace, Stands, supplied
 from learn2assemble.viewer.html import NUMBER, row
 from learn2assemble.viewer.playback import Playback

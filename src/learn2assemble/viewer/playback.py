@@ -21,11 +21,11 @@ from learn2assemble.geometry.rotations import (
     matrix_quaternion,
     quaternion_product,
 )
+from learn2assemble.kinematics.shape import ArmShape, arm_shape
 from learn2assemble.motion.attempts import ArmStep, merged
 from learn2assemble.motion.record import BuildRecord, Samples, StepRecord
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
-from learn2assemble.robot.shape import ArmShape, arm_shape
 
 PAUSE = 2.5
 """What a step without motion takes in a replay [s]."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
-from learn2assemble.assembly.appearance import millimetres
+from learn2assemble.assembly.instructions.appearance import millimetres
 from learn2assemble.errors import InputError
 from learn2assemble.files import as_path, check_new, write_file
 from learn2assemble.jobs.build import cells_of

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learn2assemble.kernels import kernel
-from learn2assemble.robot.shape import Mesh, box
+from learn2assemble.kinematics.shape import Mesh, box
 
 SAMPLES = 2
 """Samples per pixel along each axis."""

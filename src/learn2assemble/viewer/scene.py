@@ -12,10 +12,10 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from learn2assemble.assembly.appearance import Section, kinds_and_colours, sections
 from learn2assemble.assembly.blocks import Assembly, Block, fan_triangles
 from learn2assemble.assembly.bricks.mates import HEIGHT, RADIUS, knobs_on
 from learn2assemble.assembly.contacts import Contacts
+from learn2assemble.assembly.instructions.appearance import Section, kinds_and_colours, sections
 from learn2assemble.assembly.joints import DRY, Joint
 from learn2assemble.assembly.parts import to_manifold
 from learn2assemble.values import rounded

@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learn2assemble.assembly.appearance import millimetres
 from learn2assemble.assembly.blocks import Action, Assembly
-from learn2assemble.assembly.instruction_words import (
+from learn2assemble.assembly.instructions.appearance import millimetres
+from learn2assemble.assembly.instructions.steps import Instructions, Placement
+from learn2assemble.assembly.instructions.words import (
     BILL_HEAD,
     CUT_HEAD,
     action_words,
@@ -29,7 +30,6 @@ from learn2assemble.assembly.instruction_words import (
     placement_words,
     way_words,
 )
-from learn2assemble.assembly.instructions import Instructions, Placement
 from learn2assemble.constants import GRAVITY
 from learn2assemble.planning.plan import LARGEST, SearchStage
 from learn2assemble.viewer.html import NUMBER, prose, row

@@ -17,15 +17,15 @@ import numpy as np
 import shapely
 from PIL import Image, ImageDraw, ImageFont
 
-from learn2assemble.assembly.appearance import rgb
+from learn2assemble.assembly.instructions.appearance import rgb
 from learn2assemble.errors import InputError, extra
 from learn2assemble.files import replacing
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_matrix
+from learn2assemble.kinematics.shape import LinkPart, Mesh, box
 from learn2assemble.motion.record import BuildRecord
 from learn2assemble.planning.plan import Plan
 from learn2assemble.progress import Progress, counted, silent
 from learn2assemble.robot.moves import Outcome
-from learn2assemble.robot.shape import LinkPart, Mesh, box
 from learn2assemble.viewer import renderer
 from learn2assemble.viewer.arm import Labels, arms_words, extent, object_name
 from learn2assemble.viewer.picture import ACCENT, INK, LINE, PAPER, RIM, SOFT

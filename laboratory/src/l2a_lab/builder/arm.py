@@ -16,24 +16,24 @@ from dataclasses import replace
 
 import numpy as np
 
+from learn2assemble.acting.carry_out import FINGER_ROOMS, Prepared, Workcell, carry_out, wider
 from learn2assemble.assembly.kit import Kit
 from learn2assemble.cell import world as cells
 from learn2assemble.cell.arrange import Arranged
-from learn2assemble.cell.carry_out import FINGER_ROOMS, Prepared, Workcell, carry_out, wider
 from learn2assemble.cell.pieces import Piece, pieces_of, with_rests
 from learn2assemble.cell.reach import Base, set_up, why_not_turned
 from learn2assemble.cell.structure import Structure
 from learn2assemble.cell.workcell import Job, Progress, StepOf, job_of
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_matrix, yaw_quaternion
+from learn2assemble.kinematics.cell import KinematicCell
 from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.tiling.candidates import BlockPlacement
+from learn2assemble.planning.tiling.cover.candidates import BlockPlacement
+from learn2assemble.planning.tiling.cover.tile import Tiling
 from learn2assemble.planning.tiling.ordering import to_assembly
-from learn2assemble.planning.tiling.tile import Tiling
 from learn2assemble.planning.tiling.world import LatticeSite, LatticeWorld
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Shape
-from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Scene
 
 WIDE_ROOMS = FINGER_ROOMS[2:]

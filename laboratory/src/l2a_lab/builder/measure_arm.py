@@ -20,8 +20,8 @@ from l2a_lab.builder.arm import Hand, build_by_arm
 from l2a_lab.builder.measure import FIRST_SEED
 from l2a_lab.builder.network import Builder, load_builder
 from l2a_lab.builder.search import build
+from learn2assemble.acting.carry_out import Workcell
 from learn2assemble.assembly.kit import Kit
-from learn2assemble.cell.carry_out import Workcell
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import INF

@@ -13,10 +13,10 @@ from learn2assemble.assembly.kit import Kit, orientations
 from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.plan import SearchReport, SearchStage
+from learn2assemble.planning.tiling.cover.tile import MORE_TIME, Tiling
 from learn2assemble.planning.tiling.exact import prop_and_order
 from learn2assemble.planning.tiling.ordering import Ordering, order
 from learn2assemble.planning.tiling.planners import PlanLimits, PlannerChoice
-from learn2assemble.planning.tiling.tile import MORE_TIME, Tiling
 from learn2assemble.planning.tiling.world import LatticeWorld, make_site, run
 
 if TYPE_CHECKING:

@@ -31,8 +31,8 @@ from l2a_lab.builder.network import (
 )
 from l2a_lab.builder.search import build, window
 from learn2assemble.errors import Learn2AssembleError, UnknownNameError, extra
-from learn2assemble.planning.tiling.candidates import bond_cost
-from learn2assemble.planning.tiling.tile import CoverRules, cover, seams_below
+from learn2assemble.planning.tiling.cover.candidates import bond_cost
+from learn2assemble.planning.tiling.cover.tile import CoverRules, cover, seams_below
 from learn2assemble.planning.tiling.world import LatticeSite, LatticeWorld
 from learn2assemble.tasks.design_features import NUM_SUMMARY, describe, mirrored
 from learn2assemble.tasks.designs import Solved, make_design

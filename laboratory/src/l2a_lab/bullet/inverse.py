@@ -6,16 +6,7 @@ import numpy as np
 
 from learn2assemble.geometry.rotations import rotation_vector
 from learn2assemble.kernels import kernel
-from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.inverse import (
-    CONVERGED,
-    OUT_OF_STEPS,
-    STALLED,
-    TOLERANCE,
-    IKFailure,
-    Solution,
-)
-from learn2assemble.robot.kinematics import (
+from learn2assemble.kinematics.chain import (
     Chain,
     factorise,
     fill_gram,
@@ -24,6 +15,15 @@ from learn2assemble.robot.kinematics import (
     solve_factorised,
     tool_and_frames,
 )
+from learn2assemble.kinematics.inverse import (
+    CONVERGED,
+    OUT_OF_STEPS,
+    STALLED,
+    TOLERANCE,
+    IKFailure,
+    Solution,
+)
+from learn2assemble.robot.arm import Arm
 
 MAX_ITERATIONS = 1000
 
@@ -70,7 +70,7 @@ def _least_squares(
     error = log6(T_target^-1 T(q)), dq = -0.1 J^T (J J^T + 1e-12 I)^-1 error with J in the tool's
     own axes; done when the norm of the error, its first three entries for position only, is below
     the tolerance. These three depend on ``target_rotation``, too. Returns what
-    :func:`~learn2assemble.robot.inverse.damped_least_squares` does.
+    :func:`~learn2assemble.kinematics.inverse.damped_least_squares` does.
     """
     n = q.shape[0]
     positions, rotations = np.empty((n, 3)), np.empty((n, 3, 3))

@@ -26,7 +26,7 @@ from l2a_lab.bullet.contacts import (
 from l2a_lab.bullet.resolution import FIRST, HAND, Drive, HandHold, resolve
 from learn2assemble.geometry.rotations import quaternion_matrices, rotation_vector
 from learn2assemble.kernels import kernel
-from learn2assemble.robot.kinematics import (
+from learn2assemble.kinematics.chain import (
     Chain,
     factorise,
     fill_gram,

@@ -29,9 +29,9 @@ from l2a_lab.bullet.step import (
 from learn2assemble.constants import HALF, MASS
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import quaternion_matrices, yaw_matrix, yaw_quaternion
+from learn2assemble.kinematics.chain import get_chain, joint_frames
 from learn2assemble.robot.arm import PICTURE_GROUP, Arm, arm_model, arm_spec
 from learn2assemble.robot.grasps import Attitude
-from learn2assemble.robot.kinematics import get_chain, joint_frames
 from learn2assemble.robot.moves import GAP, Scene, object_boxes
 from learn2assemble.robot.scene import add_ground, add_object, rotation_matrix
 

@@ -24,12 +24,12 @@ from learn2assemble.planning.goals.world import (
     relax,
 )
 from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.tiling.candidates import BlockPlacement, placement_cells
 from learn2assemble.planning.tiling.construct import report_plan
+from learn2assemble.planning.tiling.cover.candidates import BlockPlacement, placement_cells
+from learn2assemble.planning.tiling.cover.tile import MORE_TIME, Tiling, owners
 from learn2assemble.planning.tiling.ordering import order
 from learn2assemble.planning.tiling.planners import EXACT, PlanLimits
 from learn2assemble.planning.tiling.stack import find_stack
-from learn2assemble.planning.tiling.tile import MORE_TIME, Tiling, owners
 from learn2assemble.planning.tiling.world import LatticeWorld
 from learn2assemble.statics.proofs import Bounds, widest_joint
 

@@ -27,10 +27,10 @@ from learn2assemble.linear_programs import INF, Clock, LinearProgram, Model, sol
 from learn2assemble.planning.goals.loads import failing_load
 from learn2assemble.planning.goals.search import finished
 from learn2assemble.planning.goals.world import GoalProblem, legal, put
-from learn2assemble.planning.tiling.candidates import BlockPlacement
+from learn2assemble.planning.tiling.cover.candidates import BlockPlacement
+from learn2assemble.planning.tiling.cover.tile import owners
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.standing import add_forces, face_points, find_faces
-from learn2assemble.planning.tiling.tile import owners
 from learn2assemble.planning.tiling.world import LatticeWorld
 from learn2assemble.progress import Progress, silent
 

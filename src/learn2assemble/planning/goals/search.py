@@ -38,9 +38,9 @@ from learn2assemble.planning.goals.world import (
     relax,
     unmet,
 )
-from learn2assemble.planning.tiling.candidates import BlockPlacement
+from learn2assemble.planning.tiling.cover.candidates import BlockPlacement
+from learn2assemble.planning.tiling.cover.tile import owners
 from learn2assemble.planning.tiling.stack import find_stack
-from learn2assemble.planning.tiling.tile import owners
 from learn2assemble.planning.tiling.world import LatticeWorld, grow
 from learn2assemble.progress import Progress, silent
 from learn2assemble.statics.step_proof import Proof, Stack

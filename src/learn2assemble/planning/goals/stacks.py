@@ -21,9 +21,9 @@ import numpy as np
 from learn2assemble.linear_programs import INF, Clock, Model, solve
 from learn2assemble.planning.goals.loads import bears
 from learn2assemble.planning.goals.world import GoalProblem, legal, put, unmet
-from learn2assemble.planning.tiling.candidates import BlockPlacement
+from learn2assemble.planning.tiling.cover.candidates import BlockPlacement
+from learn2assemble.planning.tiling.cover.ways import support_margin
 from learn2assemble.planning.tiling.props import FIRM
-from learn2assemble.planning.tiling.ways import support_margin
 from learn2assemble.planning.tiling.world import LatticeWorld
 
 TIGHT = 0.75

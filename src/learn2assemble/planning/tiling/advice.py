@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from learn2assemble.assembly.appearance import millimetres
+from learn2assemble.assembly.instructions.appearance import millimetres
 from learn2assemble.assembly.kit import Cell, Kind, Kit, kit_names, load_kit
 from learn2assemble.linear_programs import Clock
-from learn2assemble.planning.tiling.candidates import BlockPlacement
+from learn2assemble.planning.tiling.cover.candidates import BlockPlacement
+from learn2assemble.planning.tiling.cover.tile import MAX_EXTENT, Tiling
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.planning.tiling.ordering import Ordering
 from learn2assemble.planning.tiling.props import choose_props, unsupported
-from learn2assemble.planning.tiling.tile import MAX_EXTENT, Tiling
 
 MAX_CELLS = 3000
 """Of a design for which something else is tried; more take minutes."""

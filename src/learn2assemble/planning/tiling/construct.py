@@ -18,7 +18,8 @@ from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.planning import plan as plans
 from learn2assemble.planning.plan import Plan, PlanDesign, Step
-from learn2assemble.planning.tiling.candidates import placement_cells, strange_cells
+from learn2assemble.planning.tiling.cover.candidates import placement_cells, strange_cells
+from learn2assemble.planning.tiling.cover.tile import Tiling
 from learn2assemble.planning.tiling.ordering import Ordering, to_assembly
 from learn2assemble.planning.tiling.planners import (
     BY_EXACT,
@@ -27,7 +28,6 @@ from learn2assemble.planning.tiling.planners import (
     PlanLimits,
     PlannerChoice,
 )
-from learn2assemble.planning.tiling.tile import Tiling
 from learn2assemble.statics.proofs import TIGHT, Bounds, widest_joint
 from learn2assemble.values import rounded
 

@@ -26,7 +26,9 @@ import numpy as np
 from learn2assemble.assembly.kit import Kit, orientations, parts_of
 from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import INF, Clock
-from learn2assemble.planning.tiling.candidates import BlockPlacement, placement_cells
+from learn2assemble.planning.tiling.cover.candidates import BlockPlacement, placement_cells
+from learn2assemble.planning.tiling.cover.retiling import Retiling, improve_bond, mirrored
+from learn2assemble.planning.tiling.cover.tile import Tiling, check_cells, owners, tile
 from learn2assemble.planning.tiling.finished import (
     MAX_EXACT,
     MAX_ROUNDS,
@@ -42,12 +44,10 @@ from learn2assemble.planning.tiling.finished import (
 )
 from learn2assemble.planning.tiling.ordering import Coupled, Ordering, order
 from learn2assemble.planning.tiling.props import FIRM, choose_props, unsupported
-from learn2assemble.planning.tiling.retiling import Retiling, improve_bond, mirrored
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.standing import (
     find_slides,
 )
-from learn2assemble.planning.tiling.tile import Tiling, check_cells, owners, tile
 from learn2assemble.progress import Progress, silent
 from learn2assemble.statics.proofs import BED, FRICTIONLESS, MORTAR, TIGHT, Bounds, value_range
 from learn2assemble.statics.step_proof import find_ring
@@ -373,7 +373,7 @@ def stand_by_friction(
     Returns:
         the tiling; its status is ``"refused"`` where every tiling was proven to fall.
     """
-    from learn2assemble.statics.block_forces import System
+    from learn2assemble.statics.forces.block_forces import System
 
     square = bool(np.isclose(kit.pitch[0], kit.pitch[1]))
     boxes = all(

@@ -10,14 +10,15 @@ import numpy as np
 
 from learn2assemble.assembly.kit import Cell, Kit, Orientation, orientations, parts_of
 from learn2assemble.linear_programs import INF, Clock
-from learn2assemble.planning.tiling.candidates import (
+from learn2assemble.planning.tiling.cover.candidates import (
     BlockPlacement,
     find_candidates,
     placement_cells,
 )
+from learn2assemble.planning.tiling.cover.retiling import Retiling, mirrored
+from learn2assemble.planning.tiling.cover.tile import MORE_TIME, Tiling, owners
 from learn2assemble.planning.tiling.ordering import to_assembly
 from learn2assemble.planning.tiling.props import FIRM
-from learn2assemble.planning.tiling.retiling import Retiling, mirrored
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.standing import (
     find_mechanisms,
@@ -25,8 +26,7 @@ from learn2assemble.planning.tiling.standing import (
     region_near,
     tile_standing,
 )
-from learn2assemble.planning.tiling.tile import MORE_TIME, Tiling, owners
-from learn2assemble.statics.holding import balance_of
+from learn2assemble.statics.holding.program import balance_of
 from learn2assemble.statics.step_proof import Proof, Stack, lies_above
 
 MAX_ROUNDS = 200

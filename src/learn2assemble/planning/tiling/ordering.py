@@ -26,9 +26,9 @@ from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import INF, Clock
 from learn2assemble.planning.forward import BuildingSite, Forward
 from learn2assemble.planning.sequence import depth_first, reported
-from learn2assemble.planning.tiling.candidates import BlockPlacement, placement_cells
+from learn2assemble.planning.tiling.cover.candidates import BlockPlacement, placement_cells
+from learn2assemble.planning.tiling.cover.tile import MORE_TIME, Tiling, owners
 from learn2assemble.planning.tiling.stack import find_stack
-from learn2assemble.planning.tiling.tile import MORE_TIME, Tiling, owners
 from learn2assemble.progress import Progress, silent
 from learn2assemble.statics.laws import ByLoads, ByMortar, Law, Shown
 from learn2assemble.statics.proofs import (
@@ -163,7 +163,7 @@ class Coupled:
 
         None where they fall, and where they are balanced on an edge.
         """
-        from learn2assemble.statics.equilibrium import STIFFNESS, margin, solve
+        from learn2assemble.statics.forces.equilibrium import STIFFNESS, margin, solve
         from learn2assemble.statics.rigid_blocks import NO_MARGIN
 
         made, contacts = self.assembly

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from learn2assemble.assembly.kit import Kit
     from learn2assemble.design.cells import CellDesign
     from learn2assemble.planning.plan import SearchReport
+    from learn2assemble.planning.tiling.cover.tile import Tiling
     from learn2assemble.planning.tiling.ordering import Ordering
-    from learn2assemble.planning.tiling.tile import Tiling
     from learn2assemble.statics.proofs import Bounds
 
 EXACT = "exact"

@@ -9,14 +9,14 @@ import numpy as np
 
 from learn2assemble.assembly.kit import Cell, Kit, orientations
 from learn2assemble.linear_programs import INF, Clock, Model, solve
-from learn2assemble.planning.tiling.candidates import (
+from learn2assemble.planning.tiling.cover.candidates import (
     BlockPlacement,
     from_below,
     placement_cells,
 )
+from learn2assemble.planning.tiling.cover.tile import Tiling
+from learn2assemble.planning.tiling.cover.ways import support_margin
 from learn2assemble.planning.tiling.ordering import leaves, way_out
-from learn2assemble.planning.tiling.tile import Tiling
-from learn2assemble.planning.tiling.ways import support_margin
 
 FIRM = 1e-9
 """How far inside its support a centroid has to be [cells]."""

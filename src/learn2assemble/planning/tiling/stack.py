@@ -6,9 +6,9 @@ import numpy as np
 
 from learn2assemble.assembly.kit import Kit
 from learn2assemble.kernels import kernel
-from learn2assemble.planning.tiling.candidates import BlockPlacement, placement_cells
-from learn2assemble.planning.tiling.tile import owners
-from learn2assemble.planning.tiling.ways import convex_hull, hull_of_boxes
+from learn2assemble.planning.tiling.cover.candidates import BlockPlacement, placement_cells
+from learn2assemble.planning.tiling.cover.tile import owners
+from learn2assemble.planning.tiling.cover.ways import convex_hull, hull_of_boxes
 from learn2assemble.statics.step_proof import EDGE_INSET, Stack, StackArrays, ranks
 
 

@@ -27,14 +27,18 @@ import numpy as np
 
 from learn2assemble.assembly.kit import Kit
 from learn2assemble.linear_programs import INF, Clock, Entry, LinearProgram, Model, Repeated, solve
-from learn2assemble.planning.tiling.candidates import BlockPlacement, from_below, placement_cells
-from learn2assemble.planning.tiling.retiling import bonded_candidates, find_blocks
+from learn2assemble.planning.tiling.cover.candidates import (
+    BlockPlacement,
+    from_below,
+    placement_cells,
+)
+from learn2assemble.planning.tiling.cover.retiling import bonded_candidates, find_blocks
+from learn2assemble.planning.tiling.cover.tile import Tiling
 from learn2assemble.planning.tiling.stack import block_masses
-from learn2assemble.planning.tiling.tile import Tiling
 from learn2assemble.statics.step_proof import EDGE_INSET, Stack, lies_above
 
 if TYPE_CHECKING:
-    from learn2assemble.statics.block_forces import System
+    from learn2assemble.statics.forces.block_forces import System
 
 NEAR, LEVELS = 4, 3
 """How far round a block that falls the tiling is decided again [cells], and on how many levels."""

@@ -24,15 +24,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learn2assemble.assembly.kit import Cell, Kit, orientations
-from learn2assemble.planning.tiling.candidates import (
+from learn2assemble.planning.tiling.cover.candidates import (
     BlockPlacement,
     Candidates,
     find_candidates,
 )
+from learn2assemble.planning.tiling.cover.tile import Tiling, check_cells
 from learn2assemble.planning.tiling.laying import SiteArrays, WorldArrays, fill, lay, pack, run_out
 from learn2assemble.planning.tiling.props import FIRM, choose_props
 from learn2assemble.planning.tiling.stack import block_masses, find_stack, grow_stack
-from learn2assemble.planning.tiling.tile import Tiling, check_cells
 from learn2assemble.statics.step_proof import EDGE_INSET, Proof, Stack, lies_below
 
 

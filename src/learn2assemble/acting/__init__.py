@@ -1,0 +1,1 @@
+"""An arm that acts on what it senses."""

@@ -1,0 +1,1 @@
+"""Picks and places, as the side that decides carries them out."""

@@ -1,0 +1,1 @@
+"""Where an arm can be, and how it comes there."""

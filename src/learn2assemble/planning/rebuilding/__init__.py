@@ -1,0 +1,1 @@
+"""A standing structure turned into another one."""

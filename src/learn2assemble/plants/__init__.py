@@ -1,0 +1,1 @@
+"""What stands between the side that decides and a cell."""

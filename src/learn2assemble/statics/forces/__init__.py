@@ -1,0 +1,1 @@
+"""Forces in the joints of an assembly."""

@@ -1,0 +1,1 @@
+"""Joints that hold: the balance of blocks that clutch, or stand in mortar."""

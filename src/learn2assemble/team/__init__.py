@@ -1,0 +1,1 @@
+"""Several arms in one cell."""
