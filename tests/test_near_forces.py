@@ -21,7 +21,7 @@ from learn2assemble.statics.holding.check import margin_n, stands_by_joints
 from learn2assemble.statics.holding.forces import forces_of
 from learn2assemble.statics.holding.near import _SHOWN, NearForces
 from learn2assemble.statics.holding.program import Balance, Push, balance_of
-from learn2assemble.statics.holding.program import program as holding
+from learn2assemble.statics.holding import program as holding
 from learn2assemble.statics.holding.start import first_basis
 from learn2assemble.statics.rigid_blocks import check
 from test_brick_order import replay

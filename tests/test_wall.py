@@ -62,9 +62,13 @@ def workcell(**fields: object) -> Workcell:
 # ---------------------------------------------------------------- nothing gets past it
 
 
+ROOMS = "cell", "acting", "team"
+"""Of the side that decides."""
+
+
 def test_the_cell_imports_nothing_that_holds_the_truth() -> None:
     hidden = {"plant", "things", "disturbances", "bench", "kinematic_plant", "simulation", "cup"}
-    for path in sorted((SOURCE / "cell").glob("*.py")):
+    for path in sorted(path for room in ROOMS for path in (SOURCE / room).glob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(
                 "learn2assemble.simulation"
@@ -75,7 +79,8 @@ def test_the_cell_imports_nothing_that_holds_the_truth() -> None:
 def test_only_the_report_asks_for_the_truth_and_only_the_file_keeps_it() -> None:
     asks = {
         path.name
-        for path in (SOURCE / "cell").glob("*.py")
+        for room in ROOMS
+        for path in (SOURCE / room).glob("*.py")
         if "truth" in path.read_text(encoding="utf-8")
     }
     assert asks == {"report.py"}
