@@ -8,22 +8,20 @@ simulation, by its true poses, when a build is over.
 from __future__ import annotations
 
 import math
-import runpy
 import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from l2a_lab import shapes
 from l2a_lab.measured import Figures, Result
-from l2a_lab.sensing import RIGS, calibration, off_cameras, wrong
+from l2a_lab.sensing import RIGS, calibration
+from l2a_lab.structures import script
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
-from learn2assemble.cell.belief import step_between
 from learn2assemble.cell.carry_out import (
     Workcell,
     carry_out,
@@ -73,7 +71,6 @@ SMALL_FIRST = tuple(
     )
 )
 """The same, those of fewer blocks first."""
-STRUCTURES = Path("examples/structures")
 GIVEN: dict[str, tuple[str, ...]] = {
     "turned wall, 64 bricks": ("suction", "gripper"),
     "arch, 9 voussoirs": ("suction",),
@@ -196,24 +193,18 @@ def entry(name: str) -> Result:
 def _seen(what: str, arm: str, seed: int) -> Result:
     """A build that is seen through two cameras, 3 mm and 1 degree off until they are calibrated."""
     cameras = RIGS["two cameras"]
-    devices = off_cameras(seed, cameras)
-    found, _ = calibration(devices, cameras, seed=seed)
-    off = tuple(
-        tuple(step_between(np.array(one.pose), np.array(device.camera.pose)).tolist())
-        for one, device in zip(found, devices, strict=True)
-    )
+    found = calibration(seed, cameras)
     rng = np.random.default_rng([seed, *what.encode(), *arm.encode()])
     friction = float(rng.uniform(-0.2, 0.2))
-    told = Disturbance(supply=SUPPLY, friction=friction, mass=0.1, cameras=off)
+    told = Disturbance(supply=SUPPLY, friction=friction, mass=0.1, cameras=found.off)
     kit = load_kit("bricks").at_pitch((0.025, 0.025, 0.025))
     started = time.process_time()
     design = CellDesign(what, shapes.wall(16, 2, 9), kit.pitch, None, 0.0, None, "", None)
     plan, planned = plan_cells(design, kit, seconds=PLAN_SECONDS), time.process_time()
-    at = Workcell(arm, "suction", Site(cameras=found), seed=seed, disturbance=told)
+    at = Workcell(arm, "suction", Site(cameras=found.cameras), seed=seed, disturbance=told)
     done = carry_out(plan, at, joint=kit.joint_gap)
     result = _described(done, planned - started, time.process_time() - planned)
-    off_mm = [wrong(cameras, devices), wrong(found, devices)]
-    return result | {"cameras_off_mm": off_mm}
+    return result | {"cameras_off_mm": [found.before_mm, found.after_mm]}
 
 
 INEXACT = ("noise", "faults", "guarded", "coarse", "worse", "late", "tracking")
@@ -275,19 +266,16 @@ def _given(what: str, arm: str, tool: str) -> Result:
 def _structure(what: str) -> Assembly:
     """An example of given blocks, in the middle of the table."""
     if what.startswith("turned"):
-        made = _script("turned_wall")["turned_wall"](64)
+        made = script("turned_wall", "turned_wall", bricks=64)()
         blocks = [replace(b, vertices=HALF_SIZE * b.vertices) for b in made.blocks]
         ends = np.array([[b.vertices.min(0), b.vertices.max(0)] for b in blocks])
         shift = np.array([*(ends[:, 0].min(0) + ends[:, 1].max(0))[:2] / 2, 0.0])
         blocks = [replace(b, vertices=b.vertices - shift) for b in blocks]
         return replace(made, blocks=tuple(blocks))
     if what.startswith("arch"):
-        return _script("arch")["arch"](9)
-    return _script("stones")["stones"](12, STONES_SEED, STONES_SPREAD, cut=True)
-
-
-def _script(name: str) -> dict[str, Any]:
-    return runpy.run_path(str(STRUCTURES / f"{name}.py"))
+        return script("arch", "arch", voussoirs=9)()
+    size = {"count": 12, "seed": STONES_SEED, "spread": STONES_SPREAD}
+    return script("stones", "stones", **size, cut=True)()
 
 
 def _design(kind: str, what: str) -> tuple[CellDesign, Kit]:

@@ -9,7 +9,6 @@ keep from each other is measured by another collision library (:mod:`.arm_distan
 from __future__ import annotations
 
 import math
-import runpy
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,10 +19,11 @@ import numpy as np
 
 from l2a_lab import two_arms_bricks
 from l2a_lab.arm_distances import MOMENTS, WatchedCell
-from l2a_lab.builds import EXAMPLES, PLAN_SECONDS, READINGS, SMALL_FIRST, STRUCTURES, SUPPLY
-from l2a_lab.measured import Figures, Result
+from l2a_lab.builds import EXAMPLES, PLAN_SECONDS, READINGS, SMALL_FIRST, SUPPLY
+from l2a_lab.measured import Figures, Result, table_lines
 from l2a_lab.shapes import SHAPES, wall
 from l2a_lab.stopped_arm import APART, Job, drawn, stopped
+from l2a_lab.structures import script
 from l2a_lab.two_arms_bricks import BOTH, BRICKS, WHO
 from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
 from learn2assemble.cell.carry_out import carry_out
@@ -200,8 +200,8 @@ def _holding(what: str, radius: float, workcell: Workcell, started: float) -> Re
 def _planned(what: str, radius: float) -> tuple[Plan, list[Member]]:
     """An arch or a vault that is planned with both arms, and these."""
     held = HELD[what]
-    made = runpy.run_path(str(STRUCTURES / f"{held.file}.py"))[held.made]
-    arch = made(**{**held.size, "radius": held.size["radius"] + radius})
+    size = {**held.size, "radius": held.size["radius"] + radius}
+    arch = script(held.file, held.made, **size)()
     if held.density is not None:
         blocks = tuple(replace(block, density=held.density) for block in arch.blocks)
         arch = replace(arch, blocks=blocks)
@@ -310,10 +310,8 @@ def beside_one(entries: dict[str, Result], what: str) -> tuple[Result, float | N
 def table(entries: dict[str, Result]) -> str:
     """What was reached by both arms, in Markdown, as far as it was measured; designs of 40 to 100
     blocks last, with their mean."""
-    lines = [
-        "| design | blocks | two arms [s] | one [s] | ratio | least distance [mm] |",
-        "| --- | ---: | ---: | ---: | ---: | ---: |",
-    ]
+    head = ("design", "blocks", "two arms [s]", "one [s]", "ratio", "least distance [mm]")
+    rows: list[list[str]] = []
     for kind, designs in SETS.items():
         shares: list[float] = []
         for design in designs:
@@ -326,11 +324,11 @@ def table(entries: dict[str, Result]) -> str:
                 shares += [] if share is None else [share]
                 alone = ("no arm alone", "") if first is None else (f"{first:.1f}", f"{share:.2f}")
                 told = [f"{both['robot_s']:.1f}", *alone, f"{1e3 * both['least_distance']:.1f}"]
-            lines.append(f"| {' | '.join([design, str(both['blocks']), *told])} |")
+            rows.append([design, str(both["blocks"]), *told])
         if kind == "eight" and shares:
             mean = f"mean of {len(shares)} of the eight"
-            lines.append(f"| {mean} | | | | {np.mean(shares):.2f} | |")
-    return "\n".join(lines)
+            rows.append([mean, "", "", "", f"{np.mean(shares):.2f}", ""])
+    return "\n".join(table_lines(head, rows))
 
 
 def stops_told(entries: dict[str, Result]) -> str:

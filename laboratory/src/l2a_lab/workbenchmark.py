@@ -25,11 +25,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from l2a_lab.measured import Figures, Result
-from l2a_lab.sensing import FINE, calibration, camera, off_cameras
+from l2a_lab.sensing import FINE, calibration, camera
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.boxes import box_block
 from learn2assemble.assembly.kit import Kind, Kit, load_kit
-from learn2assemble.cell.belief import step_between
 from learn2assemble.cell.carry_out import Workcell, carry_out
 from learn2assemble.cell.pieces import Pose
 from learn2assemble.cell.site import Position, Site
@@ -241,15 +240,12 @@ def play(task: Task, physics: str, state: str = "known") -> tuple[Plan, bool]:
 @cache
 def _cameras(seed: int) -> tuple[tuple[DepthCamera, ...], tuple[tuple[float, ...], ...]]:
     """Two cameras that were calibrated, and by how much each truly is elsewhere."""
-    devices = off_cameras(seed, RIG)
-    found, _ = calibration(devices, RIG, seed=seed)
-    off = tuple(
-        tuple(step_between(np.array(one.pose), np.array(device.camera.pose)).tolist())
-        for one, device in zip(found, devices, strict=True)
-    )
+    found = calibration(seed, RIG)
     shift = np.array([MIDDLE, 0, 0, 0, 0, 0, 0])
-    moved = (replace(one, pose=tuple((np.array(one.pose) + shift).tolist())) for one in found)
-    return tuple(moved), off
+    moved = (
+        replace(one, pose=tuple((np.array(one.pose) + shift).tolist())) for one in found.cameras
+    )
+    return tuple(moved), found.off
 
 
 def _in_place(plan: Plan) -> bool:

@@ -20,6 +20,7 @@ import numpy as np
 from l2a_lab.builder.network import Builder
 from l2a_lab.builder.planner import plan_with_agent
 from l2a_lab.builder.search import BUDGET, RULES, Score, build
+from l2a_lab.measured import table_lines
 from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.read import read_design
@@ -116,16 +117,13 @@ def complete_told(sets: dict[str, Any]) -> list[str]:
     of the documents; and how many blocks for one of the known solution they take with search."""
     some = [name for name in sets if name.startswith("bricks-lintels, up to")]
     heads = ("any number: with search", "alone", "tight heap: with search", "alone")
-    told = [
-        f"| complete | {' | '.join(heads)} | blocks |",
-        "| --- |" + " ---: |" * (len(heads) + 1),
-    ]
+    rows: list[list[str]] = []
     for player in sets[some[0]]["players"]:
         played = [sets[name]["players"][player] for name in some]
         shares = [f"{100 * one[how]['complete']:.4g} %" for one in played for how in BUDGETS]
         blocks = played[0]["with search"]["blocks_per_block_of_exact"]
-        told.append(f"| {player} | {' | '.join(shares)} | {blocks:.2f} |")
-    return told
+        rows.append([player, *shares, f"{blocks:.2f}"])
+    return table_lines(["complete", *heads, "blocks"], rows)
 
 
 def _play(
