@@ -36,6 +36,7 @@ from learn2assemble.tasks.world.layouts import (
 from learn2assemble.tasks.world.outcomes import Outcomes, outcomes
 from learn2assemble.tasks.world.rules import (
     REWARDS,
+    Rules,
     count_row,
     cover_block,
     last_object,
@@ -73,11 +74,6 @@ class StepArrays(NamedTuple):
     """int8[B]."""
     rows: np.ndarray
     """int64[3, B]: plane-filtered cover before; rows still to be judged; rows that were."""
-
-
-Rules = tuple[ActionSpec, bool, bool, np.ndarray, DepthFilter, int, float]
-"""What :func:`advance` is told besides the state: actions, whether blocks are cubes and compiled
-rules decide, frames, filter, reward, threshold."""
 
 
 def step_arrays(batch: int) -> StepArrays:
@@ -307,16 +303,7 @@ class Simulator:
         paper's agent does not have.
         """
         actions = (placements.action - node_offset(graph)[:, None]) * placements.used[..., None]
-        found = outcomes(
-            state,
-            actions,
-            placements.count,
-            self.action_spec,
-            self.frames,
-            self.task.reward,
-            self.task.success_threshold,
-            self.depths,
-        )
+        found = outcomes(state, actions, placements.count, self.rules)
         if self.task.has_arm and not without_arm:
             undecided = found.valid.copy()
             for field in found:

@@ -9,7 +9,7 @@ import numpy as np
 
 from learn2assemble.constants import EDGE, HALF
 from learn2assemble.kernels import kernel
-from learn2assemble.tasks.world.blocks import DIRECTIONS, quarter_turn
+from learn2assemble.tasks.world.blocks import DIRECTIONS, ActionSpec, quarter_turn
 from learn2assemble.tasks.world.coverage import (
     NARROW,
     DepthFilter,
@@ -27,6 +27,9 @@ STABILITY = {"block": 0.5, "sum": 1.0, "object": 0.5}
 """Rules by which a simulated placement holds, with their published limits on V [m/s]: of the
 fastest block, of all blocks together (cubes), of the fastest block while objects keep their
 attitude and nothing shifts (objects of several cells)."""
+Rules = tuple[ActionSpec, bool, bool, np.ndarray, DepthFilter, int, float]
+"""What a step is told besides the state: actions, whether blocks are cubes and compiled rules
+decide, frames float64[S, 4] of the sides, filter, reward, threshold."""
 SCALED_GAIN = 3.0
 """c1 of the scaled reward (paper, equation 6 of the appendix)."""
 
