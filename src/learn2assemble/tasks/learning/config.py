@@ -116,11 +116,6 @@ class TrainConfig:
             ("augment", not (self.augment and relational), f"false for the encoder {encoder}"),
         )
 
-    @property
-    def searches(self) -> bool:
-        """Whether a search chooses the actions of training."""
-        return METHODS[self.method].search is not None
-
     def to_dict(self) -> dict[str, Any]:
         return dataclasses.asdict(self)
 
