@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 from l2a_lab import runs, table_command
 from l2a_lab.builder import commands as builders
 from l2a_lab.runs import RUNS
-from l2a_lab.table_command import prepare
 from learn2assemble.cli.output import write_result
 from learn2assemble.cli.parser import (
     Command,
@@ -25,7 +24,7 @@ from learn2assemble.cli.parser import (
     natural,
 )
 from learn2assemble.errors import InputError, check_name
-from learn2assemble.files import check_exists, check_new
+from learn2assemble.files import check_exists, check_new, make_folder
 from learn2assemble.registry import Registry
 
 if TYPE_CHECKING:
@@ -53,7 +52,7 @@ def _run_scaling(options: argparse.Namespace, output: Output) -> None:
     from l2a_lab.drawing import write_curves
     from l2a_lab.measured import measure
 
-    prepare(options.out)
+    make_folder(options.out, "--out")
     path: Path = options.out / f"{curves.SIZES}.png"
     check_new(path, "--out", overwrite=options.out == PICTURES or None)
     found = measure(curves.TIMES, options.out / "decisions.json", progress=output.say)
@@ -106,7 +105,7 @@ def _run_curves(options: argparse.Namespace, output: Output) -> None:
     curves = load_curves(figure, options.runs)
     reached = time_to(figure, options.runs)
     path: Path = options.out / f"{figure.name}.png"
-    prepare(options.out)
+    make_folder(options.out, "--out")
     check_new(path, "--out", overwrite=options.out == PICTURES or None)
     note = (
         "Training episodes, exploration included; mean over agents, band from the lowest to the "
@@ -337,7 +336,7 @@ def _figures(module: str, title: str, help: str, example: str) -> None:
         from l2a_lab.measured import measure
 
         figures = importlib.import_module(f"l2a_lab.{module}").FIGURES
-        prepare(options.out.parent)
+        make_folder(options.out.parent, "--out")
         found = measure(
             figures,
             options.out,
@@ -446,7 +445,7 @@ def _run_workbenchmark(options: argparse.Namespace, output: Output) -> None:
         raise InputError("--only", only, f"a tier ({tiers}) or a task such as {names[0]}")
     seen = "-sensed" if options.state == "sensed" else ""
     out: Path = options.out or Path(f"results/workbenchmark-{options.physics}{seen}.json")
-    prepare(out.parent)
+    make_folder(out.parent, "--out")
     found = measure(
         dataclasses.replace(figures, names=lambda: wanted),
         out,

@@ -17,7 +17,14 @@ from typing import TYPE_CHECKING, Any
 from l2a_lab.packed import read_pack, write_pack
 from learn2assemble.cli.parser import Command, arg, command, named, overwrite_argument
 from learn2assemble.errors import InputError, Remedy
-from learn2assemble.files import check_exists, check_new, read_json, read_json_lines, write_file
+from learn2assemble.files import (
+    check_exists,
+    check_new,
+    make_folder,
+    read_json,
+    read_json_lines,
+    write_file,
+)
 
 if TYPE_CHECKING:
     import argparse
@@ -136,7 +143,6 @@ def list_agents(folder: Path) -> None:
 )
 def _run_keep(options: argparse.Namespace, output: Output) -> None:
     """Keep finished trainings: all of them, or none."""
-    from l2a_lab.table_command import prepare
     from learn2assemble.tasks.networks.agent import save_agent
     from learn2assemble.tasks.networks.agent_fetch import ENDING
 
@@ -151,8 +157,8 @@ def _run_keep(options: argparse.Namespace, output: Output) -> None:
         if name in kept:
             new = Remedy("overwrite", True, "replaces it")
             raise InputError(f"{options.runs}", name, "trainings that it has not yet", new)
-    prepare(options.runs.parent)
-    prepare(options.agents)
+    make_folder(options.runs.parent, "--runs")
+    make_folder(options.agents, "--agents")
     for agent in agents:
         file = options.agents / f"{agent.name}{ENDING}"
         check_new(file, "agent", *options.folders, overwrite=options.overwrite)

@@ -17,7 +17,7 @@ from learn2assemble.cli.parser import (
     named,
     workers_arguments,
 )
-from learn2assemble.errors import InputError
+from learn2assemble.files import make_folder
 
 if TYPE_CHECKING:
     from l2a_lab.cell_jobs import CellJob
@@ -75,7 +75,7 @@ def _run_table(options: argparse.Namespace, output: Output) -> None:
     workers: int = options.workers or os.cpu_count() or 1
     most = 1 if options.quick else None
     agents = {} if options.train or options.from_files else find_agents(options.agents)
-    prepare(root)
+    make_folder(root, "--out")  # Before hours of work.
     read_tables(root)  # What cannot be written is told before hours of work.
     if options.quick:
         output.progress(report.QUICK)
@@ -118,15 +118,6 @@ def _words(todo: list[CellJob], workers: int) -> str:
         f": {episodes} episodes on {len(tasks)} tasks, roughly {long} with {workers} processes; "
         "--quick measures less, --from-files nothing"
     )
-
-
-def prepare(folder: Path) -> None:
-    """Make a folder of results, before hours of work."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = error.strerror or "unwritable"
-        raise InputError("--out", str(folder), f"a writable folder ({reason})") from None
 
 
 def _measure(root: Path, todo: list[CellJob], name: str, workers: int, ray: str | None) -> None:
