@@ -16,10 +16,8 @@ from learn2assemble.tasks.physics.support import STABLE, UNDECIDED, classify_cub
 from learn2assemble.tasks.world.coverage import DepthFilter, add_box, count_cover
 from learn2assemble.tasks.world.rules import (
     Rules,
-    lay_object,
+    lay_action,
     reward_and_success,
-    target_cell,
-    waiting_level,
 )
 from learn2assemble.tasks.world.state import State
 
@@ -104,23 +102,9 @@ def _try_all(
         placed = state.num_placed[row]
         position[:placed] = state.position[row, :placed]
         for n in range(count[row]):
-            unplaced, reference = actions[row, n, 0], actions[row, n, 1]
-            action: int = actions[row, n, 2]
-            relation, way = divmod(action, len(spec.turns))
-            x, y, z = target_cell(state, row, reference, relation, spec.pitch)
-            if spec.level:
-                z += waiting_level(state.position[row, placed + unplaced, 2])
-            end = placed + lay_object(
-                state,
-                row,
-                unplaced,
-                reference,
-                x,
-                y,
-                z,
-                spec.turns[way],
-                position[placed:],
-                spec.pitch,
+            unplaced, reference, action = actions[row, n]
+            end = placed + lay_action(
+                state, row, unplaced, reference, action, spec, position[placed:]
             )
             verdict = _verdict(position, state.object_id[row], placed, end)
             # What only the program could tell stays zero in all fields.

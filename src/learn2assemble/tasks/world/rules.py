@@ -137,6 +137,25 @@ def lay_object(
 
 
 @kernel
+def lay_action(
+    state: State,
+    row: int,
+    unplaced: int,
+    reference: int,
+    action: int,
+    spec: ActionSpec,
+    cells: np.ndarray,
+) -> int:
+    """The same where an action puts it, which counts relation and way."""
+    relation, way = divmod(action, len(spec.turns))
+    x, y, z = target_cell(state, row, reference, relation, spec.pitch)
+    if spec.level:
+        z += waiting_level(state.position[row, state.num_placed[row] + unplaced, 2])
+    turns = spec.turns[way]
+    return lay_object(state, row, unplaced, reference, x, y, z, turns, cells, spec.pitch)
+
+
+@kernel
 def move_cell(
     state: State, row: int, source: int, reference: int, x: float, y: float, z: float
 ) -> None:
