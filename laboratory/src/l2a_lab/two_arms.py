@@ -284,7 +284,7 @@ def _design(what: str) -> tuple[CellDesign, Kit]:
         if what in SCALED:
             kit = load_kit(DEFAULT_KIT).at_pitch((CELL, CELL, CELL))
         cells = wall(*WALLS[what]) if what in WALLS else SCALED[what]()
-        return CellDesign(what, cells, kit.pitch, None, 0.0, None, "", None), kit
+        return CellDesign(what, cells, kit.pitch), kit
     design = read_design(EXAMPLES / what)
     assert isinstance(design, CellDesign)
     return design, load_kit(design.kit or DEFAULT_KIT).at_pitch(design.cell)
