@@ -6,12 +6,10 @@
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
-import gzip
-import json
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -28,6 +26,7 @@ from learn2assemble.assembly.kit import Kit, load_kit, orientations
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.read import read_design
 from learn2assemble.errors import InputError
+from learn2assemble.files import read_json_lines
 from learn2assemble.planning.tiling.candidates import find_candidates
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.planning.tiling.exact import plan_exact
@@ -312,14 +311,12 @@ def _checked(assembly: Assembly) -> Result:
     }
 
 
-def recorded(path: Path) -> list[tuple[Result, Assembly]]:
+def recorded(path: Path) -> list[tuple[Mapping[str, Any], Assembly]]:
     """The assemblies of a file of recorded verdicts, with what was said of each."""
-    with gzip.open(path, "rt", encoding="utf-8") as file:
-        cases = [json.loads(line) for line in file]
-    return [(case, _assembly(case)) for case in cases]
+    return [(case, _assembly(case)) for case in read_json_lines(path, "file of verdicts")]
 
 
-def _assembly(case: Result) -> Assembly:
+def _assembly(case: Mapping[str, Any]) -> Assembly:
     blocks = [
         Block(str(b["id"]), b["vertices"], b["faces"], density=b["density"], support=b["support"])
         for b in case["blocks"]

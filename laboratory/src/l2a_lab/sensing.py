@@ -327,12 +327,12 @@ def calibration(seed: int, cameras: Sequence[DepthCamera]) -> CalibratedRig:
                 local = (here - one.position) @ one.turn
                 readings.append(Sighting(one.name, local, there))
     found = calibrated(base, cameras, readings).cameras
-    off = (
-        step_between(np.array(one.pose), np.array(device.camera.pose)).tolist()
+    off = tuple(
+        tuple(step_between(np.array(one.pose), np.array(device.camera.pose)).tolist())
         for one, device in zip(found, devices, strict=True)
     )
     before, after = (_wrong(some, devices) for some in (cameras, found))
-    return CalibratedRig(found, tuple(map(tuple, off)), before, after, len(readings))
+    return CalibratedRig(found, off, before, after, len(readings))
 
 
 def _wrong(told: Sequence[DepthCamera], devices: Sequence[SimulatedCamera]) -> float:

@@ -7,8 +7,6 @@ are of the processor, so that other programs on the machine do not count.
 
 from __future__ import annotations
 
-import gzip
-import json
 import runpy
 import time
 from collections import Counter
@@ -27,6 +25,7 @@ from l2a_lab.states import SECONDS as SIMULATED
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.cuts import POST
 from learn2assemble.assembly.files import from_json
+from learn2assemble.files import read_json_lines
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.statics.rigid_blocks import check
@@ -67,7 +66,7 @@ VAULT, ARMADILLO = REFERENCE / "crossvault.json.gz", REFERENCE / "masonry_armadi
 
 def cross_vault() -> Assembly:
     """The recorded cross vault of 184 voussoirs."""
-    return from_json(json.loads(gzip.decompress(VAULT.read_bytes())))
+    return from_json(next(read_json_lines(VAULT, "assembly")))
 
 
 def armadillo() -> Assembly:

@@ -7,8 +7,6 @@ for one another: less than that it cannot be with these motions.
 
 from __future__ import annotations
 
-import gzip
-import json
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -30,6 +28,7 @@ from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.team import set_up_team
 from learn2assemble.cell.together import Together, built_by
 from learn2assemble.cell.workcell import Workcell
+from learn2assemble.files import read_json_lines
 
 RECORDED = Path("tests/data/clutch_designs.jsonl.gz")
 ARM, TOOL, BOTH = "panda", "gripper", "both"
@@ -99,8 +98,7 @@ def _together(bricks: Assembly, tool: str, started: float) -> Result:
 def _bricks(what: str) -> Assembly:
     if what == WALL:
         return wall(LENGTH, LAYERS)
-    with gzip.open(RECORDED, "rt") as file:
-        found = {told["name"]: told for told in map(json.loads, file)}
+    found = {told["name"]: told for told in read_json_lines(RECORDED, "file of bricks")}
     return of_stablelego(found[what], what, what, None)
 
 
