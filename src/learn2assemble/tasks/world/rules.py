@@ -297,39 +297,3 @@ def reward_and_end(
     )
     terminated = (not valid) or success or state.num_placed[row] >= state.num_blocks[row]
     return reward, terminated, success
-
-
-@kernel
-def observe_row(
-    state: State, row: int, frames: np.ndarray, nodes: np.ndarray, object_id: np.ndarray
-) -> int:
-    """Write the node features of a row: x, y, z [m], placed flag, target flag.
-
-    Also writes the object number of every node: -1 - s for vertices of side s. Returns the number
-    of nodes.
-    """
-    n = 0
-    for side in range(frames.shape[0]):
-        c, s, tx, ty = frames[side, 0], frames[side, 1], frames[side, 2], frames[side, 3]
-        for k in range(state.num_vertices[row, side]):
-            x, y = state.vertices[row, side, k, 0], -HALF
-            nodes[n, 0] = c * x - s * y + tx
-            nodes[n, 1] = s * x + c * y + ty
-            nodes[n, 2] = state.vertices[row, side, k, 1]
-            nodes[n, 3] = 1.0
-            nodes[n, 4] = 1.0
-            object_id[n] = -1 - side
-            n += 1
-    placed = state.num_placed[row]
-    for k in range(state.num_blocks[row]):
-        for axis in range(3):
-            nodes[n, axis] = state.position[row, k, axis]
-        nodes[n, 3] = 1.0 if k < placed else -1.0
-        nodes[n, 4] = -1.0
-        object_id[n] = state.object_id[row, k]
-        n += 1
-    for k in range(n, nodes.shape[0]):
-        for f in range(nodes.shape[1]):
-            nodes[k, f] = np.float32(0)
-        object_id[k] = -1
-    return n
