@@ -25,6 +25,7 @@ from l2a_lab.states import SECONDS as SIMULATED
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.cuts import POST
 from learn2assemble.assembly.files import from_json
+from learn2assemble.assembly.instruction_words import count_words
 from learn2assemble.files import read_json_lines
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
@@ -285,7 +286,7 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
         if carried := groups[kind]:
             rows.append(
                 (
-                    f"pairs carried out by {arms} arm{'s' * (arms > 1)}",
+                    f"pairs carried out by {count_words(arms, 'arm')}",
                     "all",
                     _carried_words(carried),
                 )

@@ -25,6 +25,7 @@ from l2a_lab.shapes import SHAPES, wall
 from l2a_lab.stopped_arm import APART, Job, drawn, stopped
 from l2a_lab.structures import script
 from l2a_lab.two_arms_bricks import BOTH, BRICKS, WHO
+from learn2assemble.assembly.instruction_words import count_words
 from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
 from learn2assemble.cell.carry_out import carry_out
 from learn2assemble.cell.crew import Member
@@ -351,23 +352,19 @@ def holds_told(entries: dict[str, Result], what: str = "arch of 9", kind: str = 
     built = [entries[name] for name in entries if name.startswith(f"{kind}/{what}/")]
     done = [one for one in built if one["status"] == "complete"]
     were = "was" if len(done) == 1 else "were"
-    words = f"Of {_count(len(built), 'build')} of the {what}, {len(done)} {were} complete"
+    words = f"Of {count_words(len(built), 'build')} of the {what}, {len(done)} {were} complete"
     if not done:
         reasons = {one["reason"] for one in built}
         return f"{words} ({'; '.join(sorted(map(str, reasons)))})."
     most = {what: max(one[what] for one in done) for what in ("holds", "posts", "robot_s")}
-    words += f", with {_count(most['holds'], 'hold')} and {_count(most['posts'], 'post')} set by "
-    words += f"hand at most, in {most['robot_s']:.1f} s at most. "
+    held, posts = (count_words(most[f"{what}s"], what) for what in ("hold", "post"))
+    words += f", with {held} and {posts} set by hand at most, in {most['robot_s']:.1f} s at most. "
     off = 1e3 * np.array([one["error_worst"] for one in done])
     words += f"The block that was farthest from its place was {off.max():.2f} mm off at most, "
     words += f"{np.median(off):.2f} mm in the middle of them; {int((off <= 1e3 * MOST_OFF).sum())} "
     least = min(one["least_distance"] for one in done)
     words += f"kept {1e3 * MOST_OFF:g} mm; the arms were {1e3 * least:.0f} mm apart at least."
     return words
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
