@@ -14,7 +14,7 @@ from learn2assemble.constants import EDGE, HALF
 from learn2assemble.errors import InputError, check_name
 from learn2assemble.kernels import kernel
 from learn2assemble.tasks.world.blocks import Inventory, draw_objects
-from learn2assemble.tasks.world.coverage import DepthFilter, paper_mask
+from learn2assemble.tasks.world.coverage import NARROW, DepthFilter, paper_mask
 from learn2assemble.tasks.world.rules import count_row, recover_all
 
 if TYPE_CHECKING:
@@ -297,7 +297,15 @@ def _spread(
 
 
 @kernel
-def start_objects(state: State, row: int, problems: Problems, side: int, num_blocks: int) -> None:
+def start_objects(
+    state: State,
+    row: int,
+    frames: np.ndarray,
+    waiting: Waiting,
+    side: int,
+    num_blocks: int,
+    depths: DepthFilter = NARROW,
+) -> None:
     """First object at the bottom centre of ``side``, the others waiting; pixel sets and counts.
 
     ``position`` and ``object_id`` hold the objects as :func:`draw_objects` leaves them.
@@ -309,8 +317,8 @@ def start_objects(state: State, row: int, problems: Problems, side: int, num_blo
     state.num_placed[row] = _spread(
         state.position[row],
         state.object_id[row],
-        problems.waiting,
-        problems.frames[side],
+        waiting,
+        frames[side],
         num_blocks,
     )
     first, last = state.mask.shape[2], 0
@@ -320,7 +328,7 @@ def start_objects(state: State, row: int, problems: Problems, side: int, num_blo
                 if state.mask[row, s, r, w] != 0:
                     first, last = min(first, r), max(last, r + 1)
     state.mask_rows[row, 0], state.mask_rows[row, 1] = first, last
-    recover_all(state, row, problems.frames, problems.depths)
+    recover_all(state, row, frames, depths)
     count_row(state, row)
     state.initial_pixels[row] = state.plane_pixels[row]
 
@@ -355,7 +363,7 @@ def sample_problem(
         side, blocks = int(rng.random() * sides), problems.num_nodes - nodes
         position = state.position[row]
         draw_objects(rng, problems.stock, blocks, position, state.object_id[row], problems.pitch)
-        start_objects(state, row, problems, side, blocks)
+        start_objects(state, row, problems.frames, problems.waiting, side, blocks, problems.depths)
         if state.initial_pixels[row] > problems.max_initial * pixels:
             continue
         if not problems.normalise:
