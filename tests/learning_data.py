@@ -95,7 +95,6 @@ class Recorded:
             self.step.terminated,
             self.simulator.observe(self.after),
             np.full(size, task.discount, np.float32),
-            np.ones(size, np.bool_),
             options,
         )
 
@@ -118,7 +117,6 @@ QUICK = TrainConfig(
     epsilon_samples=120,
     target_period=7,
     updates_per_round=2,
-    steps=2,
     augment=True,
     learning_rate=1e-3,
     final_learning_rate=1e-4,

@@ -160,7 +160,6 @@ def test_stored_searches_are_what_the_search_found(method: str) -> None:
             n = (first + row) % 200
             found = decision.explored()
             assert stored["searched.count"][n] == len(found) in (0, 4)
-            assert stored["greedy"][n] == (not decision.random)
             assert stored["action"][n].tolist() == (decision.action + offset[row]).tolist()
             for e, (action, value, _) in enumerate(found):
                 assert stored["searched.action"][n, e].tolist() == (action + offset[row]).tolist()
@@ -266,7 +265,7 @@ def test_learner_solves_a_tiny_task(name: str, tiny_returns: tuple[float, float]
         for part in (0.4, 0.6, 0.8, 1.0):
             while trainer.samples < part * samples:
                 trainer.round()
-            value = score(make_policy(TINY, trainer.agent_network.eval(), None, 0.0))
+            value = score(make_policy(TINY, trainer.online.eval(), None, 0.0))
             if value > share * best:  # It may be there before the time is up.
                 break
         return value
@@ -333,7 +332,6 @@ def test_td_target_by_hand() -> None:
         np.array([False, True]),
         graph,
         np.array([0.8, 0.8], np.float32),
-        np.ones(2, np.bool_),
     )
 
     def y(**changes: Any) -> list[float]:

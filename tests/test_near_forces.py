@@ -17,11 +17,11 @@ from brick_data import bricks, random_bricks
 from learn2assemble.blas import by_one_thread
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.statics.forces.block_factors import BlockMatrix, Springs
+from learn2assemble.statics.holding import program as holding
 from learn2assemble.statics.holding.check import margin_n, stands_by_joints
 from learn2assemble.statics.holding.forces import forces_of
 from learn2assemble.statics.holding.near import _SHOWN, NearForces
 from learn2assemble.statics.holding.program import Balance, Push, balance_of
-from learn2assemble.statics.holding import program as holding
 from learn2assemble.statics.holding.start import first_basis
 from learn2assemble.statics.rigid_blocks import check
 from test_brick_order import replay

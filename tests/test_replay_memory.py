@@ -1,4 +1,4 @@
-"""The replay memory: a ring, n-step returns, checkpoints; mirrored and exchanged transitions."""
+"""The replay memory: a ring, checkpoints; mirrored and exchanged transitions."""
 
 from __future__ import annotations
 
@@ -46,7 +46,6 @@ def numbered(start: int, worlds: int, graph: Graph, end: set[int]) -> Batch:
         np.isin(number, list(end)),
         last,
         np.full(worlds, 0.5, np.float32),
-        number % 3 != 0,
     )
 
 
@@ -54,44 +53,33 @@ def numbered(start: int, worlds: int, graph: Graph, end: set[int]) -> Batch:
     size=st.integers(4, 12),
     worlds=st.integers(1, 4),
     rounds=st.integers(1, 9),
-    steps=st.integers(1, 4),
     end=st.sets(st.integers(0, 35), max_size=8),
 )
 @settings(max_examples=30, deadline=None)
-def test_replay_is_a_ring(size: int, worlds: int, rounds: int, steps: int, end: set[int]) -> None:
-    """What comes back is one of the newest ``size`` transitions, whole; n-step by its definition:
-    joined with those that followed in its world while these were greedy and nothing ended."""
+def test_replay_is_a_ring(size: int, worlds: int, rounds: int, end: set[int]) -> None:
+    """What comes back is one of the newest ``size`` transitions, whole."""
     simulator = Simulator(TINY)
     graph = simulator.observe(simulator.new(5, np.random.default_rng(0)))
-    memory = Replay(size, TINY.num_nodes, worlds=worlds)
+    memory = Replay(size, TINY.num_nodes)
     kept: deque[int] = deque(maxlen=size)
     for number in range(rounds):
         memory.add(numbered(number * worlds, worlds, graph, end))
         kept.extend(range(number * worlds, (number + 1) * worlds))
     assert memory.length == len(kept)
-    newest = rounds * worlds - 1
-    batch = memory.sample(100, np.random.default_rng(0), steps)
+    batch = memory.sample(100, np.random.default_rng(0))
     assert {int(a[0]) for a in batch.action} <= set(kept)
     if len(kept) <= 6:
         assert {int(a[0]) for a in batch.action} == set(kept)
     for n in range(100):
         number = int(batch.action[n, 0])
         assert batch.action[n].tolist() == [number, number + 1, number + 2]
-        assert batch.greedy[n] == (number % 3 != 0)
         original = graph.take(np.array([number % len(graph.num_nodes)]))
         original.nodes[0, 0, 0] = number
         for field, value in zip(Graph._fields, batch.graph, strict=True):
             np.testing.assert_array_equal(value[n], getattr(original, field)[0], err_msg=field)
-        reward, discount, last = float(number), 0.5, number
-        for _ in range(steps - 1):
-            following = last + worlds
-            if last in end or following > newest or following % 3 == 0:
-                break
-            reward, discount, last = reward + discount * following, discount * 0.5, following
-        assert batch.reward[n] == pytest.approx(reward)
-        assert batch.discount[n] == pytest.approx(discount)
-        assert batch.terminal[n] == (last in end)
-        assert batch.next_graph.nodes[n, 0, 0] == last + 0.5
+        assert (batch.reward[n], batch.discount[n]) == (number, 0.5)
+        assert batch.terminal[n] == (number in end)
+        assert batch.next_graph.nodes[n, 0, 0] == number + 0.5
 
 
 def test_replay_keeps_the_outcome_of_every_placement() -> None:
@@ -141,7 +129,7 @@ def test_arrays_of_outcomes_grow(size: int, widths: list[int], seed: int) -> Non
     """Whatever numbers of placements come in whatever order, also through a checkpoint."""
     simulator, rng = Simulator(TINY), np.random.default_rng(seed)
     graph = simulator.observe(simulator.new(5, rng))
-    memory = Replay(size, TINY.num_nodes, worlds=2, outcomes=True)
+    memory = Replay(size, TINY.num_nodes, outcomes=True)
     kept: dict[int, tuple[Outcomes, int]] = {}
     for number, width in enumerate(widths):
         outcomes = some_outcomes(2, width, rng)
@@ -151,7 +139,7 @@ def test_arrays_of_outcomes_grow(size: int, widths: list[int], seed: int) -> Non
             kept[2 * number + row] = Outcomes(*[field[row] for field in outcomes]), width
         if number == len(widths) // 2:
             arrays = {k: v.copy() for k, v in memory.state().items()}
-            other = Replay(size, TINY.num_nodes, worlds=2, outcomes=True)
+            other = Replay(size, TINY.num_nodes, outcomes=True)
             other.load(arrays, memory.cursor)
             memory = other
     got = memory.sample(40, np.random.default_rng(0))
@@ -169,9 +157,9 @@ def test_replay_survives_a_checkpoint(dense_weight: float) -> None:
     for _ in range(11):
         trainer.collect()
     arrays = {k: v.copy() for k, v in trainer.replay.state().items()}
-    other = Replay(20, TINY.num_nodes, worlds=3, outcomes=dense_weight > 0)
+    other = Replay(20, TINY.num_nodes, outcomes=dense_weight > 0)
     other.load(arrays, trainer.replay.cursor)
-    a, b = (r.sample(50, np.random.default_rng(1), 3) for r in (trainer.replay, other))
+    a, b = (r.sample(50, np.random.default_rng(1)) for r in (trainer.replay, other))
     assert (a.outcomes is None) == (dense_weight == 0)
     for mine, theirs in zip(a, b, strict=True):
         if mine is None:

@@ -31,9 +31,8 @@ from learning_data import OWN, QUICK, TINY, assert_same_training, contents
 
 RESUMED: dict[str, dict[str, Any]] = {
     "published": {},
-    "averaged": {"target_rate": 0.1},
     "own": OWN,
-    "own, plain": {**OWN, "double": False, "steps": 1},
+    "own, plain": {**OWN, "double": False},
     "q-mcts": {"method": "q-mcts"},
     "eps-mcts": {"method": "eps-mcts", "search_budget": 3},
     "own, q-mcts": {**OWN, "method": "q-mcts"},

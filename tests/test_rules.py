@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.constants import EDGE, HALF
+from learn2assemble.tasks.graph.features import graph_row
 from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.task import PRESETS, Task, get_task
 from learn2assemble.tasks.world.blocks import DIRECTIONS, RELATIONS
@@ -19,7 +20,6 @@ from learn2assemble.tasks.world.rules import (
     count_row,
     cover_block,
     move_block,
-    observe_row,
     recover_all,
     reward_and_end,
     reward_and_success,
@@ -134,9 +134,10 @@ def test_nodes_come_targets_first_then_placed_then_unplaced() -> None:
     state = sim.new(1, np.random.default_rng(5))
     waiting = state.position[0, 1:].copy()
     sim.step(state, np.array([[3, 0, RELATIONS.index("top")]]))
-    nodes, ids = np.zeros((30, 5)), np.zeros(30, np.int64)
-    assert observe_row(state, 0, sim.frames, nodes, ids) == 30
-    targets = int(state.num_targets[0])
+    all_nodes, counts = np.zeros((1, 30, 5)), np.zeros((3, 1), np.int64)
+    graph_row(state, 0, sim.frames, all_nodes, np.zeros((1, 30), np.int64), counts)
+    nodes, targets = all_nodes[0], int(state.num_targets[0])
+    assert counts[:, 0].tolist() == [targets, 2, 30]
     flags = [(1, 1)] * targets + [(1, -1)] * 2 + [(-1, -1)] * (28 - targets)
     assert nodes[:, 3:].tolist() == [list(map(float, flag)) for flag in flags]
     first = int(state.num_vertices[0, 0])

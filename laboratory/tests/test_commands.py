@@ -257,7 +257,7 @@ BAD = [
             fragment,
         )
         for name, fragment in {
-            "words": "a task as JSON",
+            "words": "expected JSON",
             "empty": "got '0 lines'",
             "short": "the key 'initial_blocks'",
             "none": "no such file",

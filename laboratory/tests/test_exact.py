@@ -31,7 +31,7 @@ from l2a_lab.object_bounds import (
     object_return_bound,
     state_inventory,
     state_lattice,
-    turned,
+    turns_of,
 )
 from learn2assemble.constants import EDGE, HALF
 from learn2assemble.errors import InputError
@@ -354,7 +354,7 @@ def best_packings(lattice: Lattice, inventory: Inventory, rotations: int) -> lis
         found = {}
         for turns in range(rotations):
             for shift in np.ndindex(6, 6, 3):
-                moved = turned(shape, turns) + np.array(shift) - (2, 3, 0)
+                moved = np.array(turns_of(shape, 4)[turns]) + np.array(shift) - (2, 3, 0)
                 cells = frozenset(tuple(cell) for cell in moved.tolist())
                 if cells & taken or moved[:, 2].min() < 0:
                     continue

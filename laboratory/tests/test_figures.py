@@ -29,7 +29,15 @@ from l2a_lab.meshes import MESHES, mesh_table
 from l2a_lab.numbers import load_table
 from l2a_lab.rebuilding import CARRIED
 from l2a_lab.report import losses_told
-from l2a_lab.states import count_states, every, largest_moves, opened, states_of, upright
+from l2a_lab.states import (
+    count_states,
+    every,
+    largest_move,
+    largest_moves,
+    opened,
+    states_of,
+    upright,
+)
 from l2a_lab.tables import get_table
 from l2a_lab.two_arms import EIGHT, holds_told, stops_told, table
 from learn2assemble.acting.carry_out import Workcell, prepare
@@ -202,8 +210,8 @@ def test_the_simulation_tells_what_stands() -> None:
     blocks = (BlockPlacement("1x1", 0, (0, 0, 0)), BlockPlacement("1x4", 0, (0, 0, 1)))
     falls = to_assembly(Tiling(blocks, wanted), None, LINTELS)
     stands = to_assembly(Tiling(blocks[:1], wanted), None, LINTELS)
-    assert creep.largest_move(falls, 1.0) > 0.01
-    assert creep.largest_move(stands, 1.0) < 1e-3
+    assert largest_move(falls, 1.0) > 0.01
+    assert largest_move(stands, 1.0) < 1e-3
 
 
 # What cameras tell.
@@ -240,13 +248,6 @@ def test_scenes_have_no_blocks_in_one_another() -> None:
         true, others = make(np.random.default_rng(0), sensing.BRICK)
         every = [solids(*one) for one in [(sensing.BRICK, true), *others]]
         assert not any(overlaps(a, b, 1e-6) for k, a in enumerate(every) for b in every[:k])
-
-
-def test_turns_leave_the_shapes_as_they_are() -> None:
-    from learn2assemble.cell.pieces import symmetries
-
-    for shape, turns in sensing.TURNS.items():
-        assert len(turns) == len(symmetries(shape))
 
 
 # Steps a second beside another library: what is counted are steps.
@@ -561,9 +562,9 @@ def test_bricks_of_two_arms_are_told_beside_one_after_the_other() -> None:
         "| apex_cliff | gripper |  | refused |  |  |  |  |",
         "| apex_rss | gripper | 5 | 40.0 | 50.0 | 0.80 |  | 21.3 |",
         "| wall of bricks | gripper | 5 | 10.0 | 50.0 | 0.20 |  | 21.3 |",
-        "| mean of 2 tasks of APEX-MR | gripper | | | | 0.70 | | |",
+        "| mean of 2 tasks of APEX-MR | gripper |  |  |  | 0.70 |  |  |",
         "| apex_R | socket | 5 | 29.0 | 50.0 | 0.58 |  | 21.3 |",
-        "| mean of 1 task of APEX-MR | socket | | | | 0.58 | | |",
+        "| mean of 1 task of APEX-MR | socket |  |  |  | 0.58 |  |  |",
     ]
     rows = two_arms_bricks.summary(entries)
     assert ("<= 0.52 mean", "0.70 mean of 2") in [row[1:] for row in rows]
@@ -595,7 +596,7 @@ def test_the_table_says_what_no_arm_builds_alone() -> None:
         "| keep.json | 50 | incomplete |  |  |  |",
         "| bridge | 50 | 50.0 | 80.0 | 0.62 | 21.3 |",
         "| dome | 50 | 50.0 | no arm alone |  | 21.3 |",
-        "| mean of 1 of the eight | | | | 0.62 | |",
+        "| mean of 1 of the eight |  |  |  | 0.62 |  |",
     ]
 
 
@@ -626,7 +627,7 @@ def test_blocks_of_an_mjcf_stay_where_they_are(gap: float) -> None:
         for k, (begin, end) in enumerate(pairwise(ends)):
             low, high = (begin + gap / 2, 0.0, 0.05 * layer), (end - gap / 2, 0.05, 0.05 * layer)
             blocks.append(box_block(f"{layer}-{k}", low, (*high[:2], high[2] + 0.05)))
-    assert creep.largest_move(Assembly(tuple(blocks)), 1.0) < 0.3 * creep.LIMIT
+    assert largest_move(Assembly(tuple(blocks)), 1.0) < 0.3 * creep.LIMIT
 
 
 @pytest.mark.parametrize("gap", creep.GAPS)
@@ -637,27 +638,7 @@ def test_structures_and_their_props_stay_where_they_are(name: str, gap: float) -
     made = creep.structure(name, gap)
     props = sum(block.id.startswith("prop") for block in made.blocks)
     assert bool(props) == creep.CASES[name].props
-    assert creep.largest_move(made, 3.0) < 0.3 * creep.LIMIT
-
-
-def test_what_stands_after_a_step_is_no_more_than_that() -> None:
-    """A prop under a lintel is taken away again."""
-    bridge = Assembly(
-        (
-            box_block("left", (0, 0, 0), (0.05, 0.05, 0.05)),
-            box_block("right", (0.1, 0, 0), (0.15, 0.05, 0.05)),
-            box_block("prop", (0.05, 0, 0), (0.1, 0.05, 0.05), prop=True),
-            box_block("lintel", (0, 0, 0.05), (0.15, 0.05, 0.1)),
-        ),
-        (
-            *(AssemblyStep(place=id_) for id_ in ("left", "right", "prop", "lintel")),
-            AssemblyStep(remove="prop"),
-        ),
-    )
-    ids = [[b.id for b in creep.standing_after(bridge, k).finished.blocks] for k in range(1, 6)]
-    assert ids[0] == ["left"]
-    assert set(ids[3]) == {"left", "right", "prop", "lintel"}
-    assert set(ids[4]) == {"left", "right", "lintel"}
+    assert largest_move(made, 3.0) < 0.3 * creep.LIMIT
 
 
 def test_shapes_of_the_tests_are_those_that_are_measured() -> None:

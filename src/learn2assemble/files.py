@@ -331,6 +331,22 @@ def unwritable(what: str, path: Path, error: OSError) -> InputError:
     return InputError(what, printable(str(path)), f"a place that can be written ({reason})")
 
 
+def make_folder(folder: Path, what: str) -> None:
+    """A folder that is there from now on.
+
+    Args:
+        what: the folder is for, for messages.
+
+    Raises:
+        InputError: where it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        expected = f"a writable folder, or one that can be made ({error.strerror or error})"
+        raise InputError(what, printable(str(folder)), expected) from None
+
+
 LOCK = ".lock"
 ALONE = "a folder that nothing else is writing into"
 

@@ -8,20 +8,18 @@ simulation, by its true poses, when a build is over.
 from __future__ import annotations
 
 import math
-import runpy
 import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from l2a_lab import shapes
 from l2a_lab.measured import Figures, Result
-from l2a_lab.sensing import RIGS, calibration, off_cameras, wrong
-from learn2assemble.acting.belief import step_between
+from l2a_lab.sensing import RIGS, calibration
+from l2a_lab.structures import script
 from learn2assemble.acting.carry_out import (
     Workcell,
     carry_out,
@@ -49,31 +47,18 @@ from learn2assemble.simulation.plant import DynamicPlant
 from learn2assemble.values import to_plain
 
 EXAMPLES = Path("examples/designs")
-DESIGNS = (
-    "arch_pair.json",
-    "gabled_house.json",
-    "gate.svg",
-    "keep.json",
-    "pavilion.json",
+SMALL_FIRST = (
     "pyramid.json",
-    "skyline.json",
+    "gate.svg",
+    "arch_pair.json",
     "stepped_tower.json",
+    "pavilion.json",
+    "skyline.json",
+    "gabled_house.json",
+    "keep.json",
 )
-SMALL_FIRST = tuple(
-    f"{name}.{'svg' if name == 'gate' else 'json'}"
-    for name in (
-        "pyramid",
-        "gate",
-        "arch_pair",
-        "stepped_tower",
-        "pavilion",
-        "skyline",
-        "gabled_house",
-        "keep",
-    )
-)
-"""The same, those of fewer blocks first."""
-STRUCTURES = Path("examples/structures")
+"""Examples that are built, those of fewer blocks first."""
+DESIGNS = tuple(sorted(SMALL_FIRST))
 GIVEN: dict[str, tuple[str, ...]] = {
     "turned wall, 64 bricks": ("suction", "gripper"),
     "arch, 9 voussoirs": ("suction",),
@@ -196,24 +181,18 @@ def entry(name: str) -> Result:
 def _seen(what: str, arm: str, seed: int) -> Result:
     """A build that is seen through two cameras, 3 mm and 1 degree off until they are calibrated."""
     cameras = RIGS["two cameras"]
-    devices = off_cameras(seed, cameras)
-    found, _ = calibration(devices, cameras, seed=seed)
-    off = tuple(
-        tuple(step_between(np.array(one.pose), np.array(device.camera.pose)).tolist())
-        for one, device in zip(found, devices, strict=True)
-    )
+    found = calibration(seed, cameras)
     rng = np.random.default_rng([seed, *what.encode(), *arm.encode()])
     friction = float(rng.uniform(-0.2, 0.2))
-    told = Disturbance(supply=SUPPLY, friction=friction, mass=0.1, cameras=off)
+    told = Disturbance(supply=SUPPLY, friction=friction, mass=0.1, cameras=found.off)
     kit = load_kit("bricks").at_pitch((0.025, 0.025, 0.025))
     started = time.process_time()
-    design = CellDesign(what, shapes.wall(16, 2, 9), kit.pitch, None, 0.0, None, "", None)
+    design = CellDesign(what, shapes.wall(16, 2, 9), kit.pitch)
     plan, planned = plan_cells(design, kit, seconds=PLAN_SECONDS), time.process_time()
-    at = Workcell(arm, "suction", Site(cameras=found), seed=seed, disturbance=told)
+    at = Workcell(arm, "suction", Site(cameras=found.cameras), seed=seed, disturbance=told)
     done = carry_out(plan, at, joint=kit.joint_gap)
     result = _described(done, planned - started, time.process_time() - planned)
-    off_mm = [wrong(cameras, devices), wrong(found, devices)]
-    return result | {"cameras_off_mm": off_mm}
+    return result | {"cameras_off_mm": [found.before_mm, found.after_mm]}
 
 
 INEXACT = ("noise", "faults", "guarded", "coarse", "worse", "late", "tracking")
@@ -275,19 +254,16 @@ def _given(what: str, arm: str, tool: str) -> Result:
 def _structure(what: str) -> Assembly:
     """An example of given blocks, in the middle of the table."""
     if what.startswith("turned"):
-        made = _script("turned_wall")["turned_wall"](64)
+        made = script("turned_wall", "turned_wall", bricks=64)()
         blocks = [replace(b, vertices=HALF_SIZE * b.vertices) for b in made.blocks]
         ends = np.array([[b.vertices.min(0), b.vertices.max(0)] for b in blocks])
         shift = np.array([*(ends[:, 0].min(0) + ends[:, 1].max(0))[:2] / 2, 0.0])
         blocks = [replace(b, vertices=b.vertices - shift) for b in blocks]
         return replace(made, blocks=tuple(blocks))
     if what.startswith("arch"):
-        return _script("arch")["arch"](9)
-    return _script("stones")["stones"](12, STONES_SEED, STONES_SPREAD, cut=True)
-
-
-def _script(name: str) -> dict[str, Any]:
-    return runpy.run_path(str(STRUCTURES / f"{name}.py"))
+        return script("arch", "arch", voussoirs=9)()
+    size = {"count": 12, "seed": STONES_SEED, "spread": STONES_SPREAD}
+    return script("stones", "stones", **size, cut=True)()
 
 
 def _design(kind: str, what: str) -> tuple[CellDesign, Kit]:
@@ -297,7 +273,7 @@ def _design(kind: str, what: str) -> tuple[CellDesign, Kit]:
         else:
             (make, cell), name = LARGE[what], DEFAULT_KIT
         kit = load_kit(name).at_pitch((cell, cell, cell))
-        return CellDesign(what, make(), kit.pitch, None, 0.0, None, "", None), kit
+        return CellDesign(what, make(), kit.pitch), kit
     design = read_design(EXAMPLES / what)
     assert isinstance(design, CellDesign)
     return design, load_kit(design.kit or DEFAULT_KIT).at_pitch(design.cell)

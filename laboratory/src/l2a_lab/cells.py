@@ -24,7 +24,7 @@ from l2a_lab.builder.network import builder_files
 from l2a_lab.packed import names, read_document
 from l2a_lab.table import FARTHER, LOOK_AHEAD, MENDED, RANDOM
 from learn2assemble.errors import InputError, extra
-from learn2assemble.files import check_exists, write_file
+from learn2assemble.files import check_exists, make_folder, write_file
 from learn2assemble.tasks.evaluation.episodes import (
     DISCOUNTS,
     Policy,
@@ -301,12 +301,7 @@ def write_result(root: Path, cell: Cell, agent_hash: str | None, data: dict[str,
         "agent_hash": agent_hash,
     }
     lines = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in {**head, **data}.items()]
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            "--out", str(root), f"a writable folder ({error.strerror or 'unwritable'})"
-        ) from None
+    make_folder(file.parent, "--out")
     write_file(file, "{\n" + ",\n".join(lines) + "\n}\n", "--out")
     return file
 

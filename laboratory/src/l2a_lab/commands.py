@@ -10,19 +10,21 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from l2a_lab.builder.commands import COMMANDS as BUILDERS
-from l2a_lab.runs import RUNS, keep_arguments, run_keep
-from l2a_lab.table_command import prepare, run_table, table_arguments
+from l2a_lab import runs, table_command
+from l2a_lab.builder import commands as builders
+from l2a_lab.runs import RUNS
 from learn2assemble.cli.output import write_result
 from learn2assemble.cli.parser import (
     Command,
+    arg,
     arm_argument,
+    command,
     count,
     named,
     natural,
 )
 from learn2assemble.errors import InputError, check_name
-from learn2assemble.files import check_exists, check_new
+from learn2assemble.files import check_exists, check_new, make_folder
 from learn2assemble.registry import Registry
 
 if TYPE_CHECKING:
@@ -30,29 +32,19 @@ if TYPE_CHECKING:
     from learn2assemble.tasks.evaluation.fidelities import Comparison
 
 
+COMMANDS: dict[str, Command] = {}
 PICTURES = Path("results/curves")
 """Where curves are drawn, and drawn anew; in another folder they are new files."""
 
 
 def register_laboratory_command(commands: Registry[Command]) -> None:
     """Add the commands of the laboratory; all of them play or judge what was learned."""
-    for name, command in {**_COMMANDS, **BUILDERS}.items():
-        commands.register(name, dataclasses.replace(command, learns=True))
+    for table in (COMMANDS, table_command.COMMANDS, runs.COMMANDS, builders.COMMANDS):
+        for name, one in table.items():
+            commands.register(name, dataclasses.replace(one, learns=True))
 
 
 # ---------------------------------------------------------------- curves
-
-
-def _curves_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "name",
-        metavar="NAME",
-        help="architectures, connectivity, algorithms, or robot-two-sided, robot-four-sided, "
-        "robot-objects, robot-one-sided; scaling: over the size of targets, decision times are "
-        "measured where missing",
-    )
-    parser.add_argument("--runs", type=named, default=RUNS, help="file with logs of runs")
-    parser.add_argument("--out", type=named, default=PICTURES, help="folder")
 
 
 def _run_scaling(options: argparse.Namespace, output: Output) -> None:
@@ -60,7 +52,7 @@ def _run_scaling(options: argparse.Namespace, output: Output) -> None:
     from l2a_lab.drawing import write_curves
     from l2a_lab.measured import measure
 
-    prepare(options.out)
+    make_folder(options.out, "--out")
     path: Path = options.out / f"{curves.SIZES}.png"
     check_new(path, "--out", overwrite=options.out == PICTURES or None)
     found = measure(curves.TIMES, options.out / "decisions.json", progress=output.say)
@@ -87,6 +79,21 @@ def _run_scaling(options: argparse.Namespace, output: Output) -> None:
     output.finish({"figure": curves.SIZES, "picture": str(path), "rows": [r.label for r in rows]})
 
 
+@command(
+    COMMANDS,
+    "curves",
+    "draw learning curves",
+    "l2a-lab curves algorithms",
+    arg(
+        "name",
+        metavar="NAME",
+        help="architectures, connectivity, algorithms, or robot-two-sided, robot-four-sided, "
+        "robot-objects, robot-one-sided; scaling: over the size of targets, decision times are "
+        "measured where missing",
+    ),
+    arg("--runs", type=named, default=RUNS, help="file with logs of runs"),
+    arg("--out", type=named, default=PICTURES, help="folder"),
+)
 def _run_curves(options: argparse.Namespace, output: Output) -> None:
     from l2a_lab.curves import FIGURES, SIZES, load_curves, time_to
     from l2a_lab.drawing import write_curves
@@ -98,7 +105,7 @@ def _run_curves(options: argparse.Namespace, output: Output) -> None:
     curves = load_curves(figure, options.runs)
     reached = time_to(figure, options.runs)
     path: Path = options.out / f"{figure.name}.png"
-    prepare(options.out)
+    make_folder(options.out, "--out")
     check_new(path, "--out", overwrite=options.out == PICTURES or None)
     note = (
         "Training episodes, exploration included; mean over agents, band from the lowest to the "
@@ -192,10 +199,13 @@ REPLAY_COLUMNS = (
 ARM_COLUMNS = ("file", "cell", "lines", "agree", "same_class", "rule")
 
 
-def _replay_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("files", metavar="FILE", nargs="+", type=named)
-
-
+@command(
+    COMMANDS,
+    "replay",
+    "repeat recorded transitions and report the agreement",
+    "l2a-lab replay tests/data/transitions_sample.jsonl",
+    arg("files", metavar="FILE", nargs="+", type=named),
+)
 def _run_replay(options: argparse.Namespace, output: Output) -> None:
     from l2a_lab.recordings import read_lines
     from l2a_lab.replay import is_robot_line, replay_file, replay_robot_file
@@ -235,16 +245,18 @@ FIDELITY_COLUMNS = (
 )
 
 
-def _fidelities_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("tasks", metavar="TASK", nargs="+")
-    add("--actions", type=count, default=100, help="moves of every task")
-    add("--agent", default=None, help="who builds what the moves are drawn from")
-    arm_argument(parser)
-    add("--seed", type=natural, default=0)
-    add("--out", type=named, default=None, help="new file for the result")
-
-
+@command(
+    COMMANDS,
+    "fidelities",
+    "the kinematic workcell of an arm against the dynamic one",
+    "l2a-lab fidelities robot-two-sided-3x3-10-14 robot-four-sided-3x3-10-18 --actions 250",
+    arg("tasks", metavar="TASK", nargs="+"),
+    arg("--actions", type=count, default=100, help="moves of every task"),
+    arg("--agent", default=None, help="who builds what the moves are drawn from"),
+    arm_argument,
+    arg("--seed", type=natural, default=0),
+    arg("--out", type=named, default=None, help="new file for the result"),
+)
 def _run_fidelities(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.tasks.evaluation.fidelities import compare
     from learn2assemble.tasks.networks.agent import default_agent, load_agent, one_thread
@@ -298,26 +310,33 @@ def _run_fidelities(options: argparse.Namespace, output: Output) -> None:
 # ---------------------------------------------------------------- figures
 
 
-def _figures(module: str, title: str, help: str, example: str) -> Command:
-    """The command that measures the figures of a module and prints what was asked beside them."""
+_WORKERS = arg("--workers", type=count, default=1, help="entries measured at once")
 
-    def arguments(parser: argparse.ArgumentParser) -> None:
-        add = parser.add_argument
-        add(
+
+def _figures(module: str, title: str, help: str, example: str) -> None:
+    """The command that measures the figures of a module and prints what was asked beside them."""
+    name = f"measure-{module.replace('_', '-')}"
+
+    @command(
+        COMMANDS,
+        name,
+        help,
+        f"l2a-lab {name} {example}".rstrip(),
+        arg(
             "--out",
             type=named,
             default=Path(f"results/{module}.json"),
             help="file of the results",
-        )
-        add("--only", default="", metavar="WORD", help="entries with this in their name")
-        add("--again", action="store_true", help="also those that were measured before")
-        add("--workers", type=count, default=1, help="entries measured at once")
-
+        ),
+        arg("--only", default="", metavar="WORD", help="entries with this in their name"),
+        arg("--again", action="store_true", help="also those that were measured before"),
+        _WORKERS,
+    )
     def run(options: argparse.Namespace, output: Output) -> None:
         from l2a_lab.measured import measure
 
         figures = importlib.import_module(f"l2a_lab.{module}").FIGURES
-        prepare(options.out.parent)
+        make_folder(options.out.parent, "--out")
         found = measure(
             figures,
             options.out,
@@ -330,35 +349,88 @@ def _figures(module: str, title: str, help: str, example: str) -> Command:
         output.table(title, ("what", "asked", "got"), rows)
         output.finish({"rows": [list(row) for row in rows], "file": str(options.out)})
 
-    return Command(help, example, arguments, run)
+
+for _row in (
+    (
+        "goals",
+        "figures of goals without a drawing",
+        "measure the search for structures that meet goals, beside the exact program",
+        "--only planar/ --workers 2",
+    ),
+    (
+        "builds",
+        "figures of builds by an arm",
+        "measure builds by an arm: large ones, with noise, with faults",
+        "--only noise/ --workers 2",
+    ),
+    (
+        "two_arms",
+        "how much sooner two arms build than one",
+        "measure builds by two arms together beside those by each alone",
+        "--only pyramid",
+    ),
+    (
+        "designs",
+        "figures of the exact planner and the check",
+        "measure the exact planner and the check on shapes and drawings",
+        "--only shape/ --workers 2",
+    ),
+    (
+        "hidden",
+        "planners under hidden errors",
+        "measure who gets through hidden errors, by the factor that scales them",
+        "--only 1.4/",
+    ),
+    (
+        "sensing",
+        "figures of what cameras tell",
+        "measure poses of blocks in depth pictures, lost blocks, and calibrated cameras",
+        "--only alone/",
+    ),
+    (
+        "speed",
+        "steps a second beside another library",
+        "measure steps a second of the environments beside jumanji's BinPack (extra speed)",
+        "",
+    ),
+    (
+        "structures",
+        "figures of given blocks",
+        "measure order, supports and proof of given blocks, and their states in simulation",
+        "--only pile/ --workers 2",
+    ),
+):
+    _figures(*_row)
 
 
 # ---------------------------------------------------------------- workbenchmark
 
 
-def _workbenchmark_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("--tasks", type=named, required=True, metavar="FILE", help="tasks as JSON lines, .gz too")
-    add("--only", default="", metavar="TIER", help="tasks of this tier (3), or one task (3/012)")
-    add(
+@command(
+    COMMANDS,
+    "workbenchmark",
+    "play the tasks of WorkBenchMark, and print what was solved beside what is published",
+    "l2a-lab workbenchmark --tasks workbenchmark.jsonl.gz --only 3",
+    arg("--tasks", type=named, required=True, metavar="FILE", help="tasks as JSON lines, .gz too"),
+    arg("--only", default="", metavar="TIER", help="tasks of this tier (3), or one task (3/012)"),
+    arg(
         "--physics",
         default="kinematic",
         choices=("kinematic", "dynamic"),
         help="cell in which the arm builds (kinematic)",
-    )
-    add(
+    ),
+    arg(
         "--state",
         default="known",
         choices=("known", "sensed"),
         help="where bricks wait: as the task says, or seen by two cameras (known)",
-    )
-    add(
+    ),
+    arg(
         "--out", type=named, default=None, help="file of the results (results/workbenchmark-*.json)"
-    )
-    add("--resume", action="store_true", help="keep what the file of the results has already")
-    add("--workers", type=count, default=1, help="tasks played at once")
-
-
+    ),
+    arg("--resume", action="store_true", help="keep what the file of the results has already"),
+    _WORKERS,
+)
 def _run_workbenchmark(options: argparse.Namespace, output: Output) -> None:
     from l2a_lab import workbenchmark
     from l2a_lab.measured import measure
@@ -373,7 +445,7 @@ def _run_workbenchmark(options: argparse.Namespace, output: Output) -> None:
         raise InputError("--only", only, f"a tier ({tiers}) or a task such as {names[0]}")
     seen = "-sensed" if options.state == "sensed" else ""
     out: Path = options.out or Path(f"results/workbenchmark-{options.physics}{seen}.json")
-    prepare(out.parent)
+    make_folder(out.parent, "--out")
     found = measure(
         dataclasses.replace(figures, names=lambda: wanted),
         out,
@@ -397,88 +469,3 @@ def _run_workbenchmark(options: argparse.Namespace, output: Output) -> None:
             "file": str(out),
         }
     )
-
-
-_COMMANDS = {
-    "workbenchmark": Command(
-        "play the tasks of WorkBenchMark, and print what was solved beside what is published",
-        "l2a-lab workbenchmark --tasks workbenchmark.jsonl.gz --only 3",
-        _workbenchmark_arguments,
-        _run_workbenchmark,
-    ),
-    "measure-goals": _figures(
-        "goals",
-        "figures of goals without a drawing",
-        "measure the search for structures that meet goals, beside the exact program",
-        "l2a-lab measure-goals --only planar/ --workers 2",
-    ),
-    "measure-builds": _figures(
-        "builds",
-        "figures of builds by an arm",
-        "measure builds by an arm: large ones, with noise, with faults",
-        "l2a-lab measure-builds --only noise/ --workers 2",
-    ),
-    "measure-two-arms": _figures(
-        "two_arms",
-        "how much sooner two arms build than one",
-        "measure builds by two arms together beside those by each alone",
-        "l2a-lab measure-two-arms --only pyramid",
-    ),
-    "measure-designs": _figures(
-        "designs",
-        "figures of the exact planner and the check",
-        "measure the exact planner and the check on shapes and drawings",
-        "l2a-lab measure-designs --only shape/ --workers 2",
-    ),
-    "measure-hidden": _figures(
-        "hidden",
-        "planners under hidden errors",
-        "measure who gets through hidden errors, by the factor that scales them",
-        "l2a-lab measure-hidden --only 1.4/",
-    ),
-    "measure-sensing": _figures(
-        "sensing",
-        "figures of what cameras tell",
-        "measure poses of blocks in depth pictures, lost blocks, and calibrated cameras",
-        "l2a-lab measure-sensing --only alone/",
-    ),
-    "measure-speed": _figures(
-        "speed",
-        "steps a second beside another library",
-        "measure steps a second of the environments beside jumanji's BinPack (extra speed)",
-        "l2a-lab measure-speed",
-    ),
-    "measure-structures": _figures(
-        "structures",
-        "figures of given blocks",
-        "measure order, supports and proof of given blocks, and their states in simulation",
-        "l2a-lab measure-structures --only pile/ --workers 2",
-    ),
-    "table": Command(
-        "measure a table of the paper and print it beside the paper's numbers",
-        "l2a-lab table T2",
-        table_arguments,
-        run_table,
-    ),
-    "curves": Command(
-        "draw learning curves", "l2a-lab curves algorithms", _curves_arguments, _run_curves
-    ),
-    "keep": Command(
-        "keep a finished training: its agent in agents/, configuration and log with the results",
-        "l2a-lab keep runs/dqn-s0",
-        keep_arguments,
-        run_keep,
-    ),
-    "replay": Command(
-        "repeat recorded transitions and report the agreement",
-        "l2a-lab replay tests/data/transitions_sample.jsonl",
-        _replay_arguments,
-        _run_replay,
-    ),
-    "fidelities": Command(
-        "the kinematic workcell of an arm against the dynamic one",
-        "l2a-lab fidelities robot-two-sided-3x3-10-14 robot-four-sided-3x3-10-18 --actions 250",
-        _fidelities_arguments,
-        _run_fidelities,
-    ),
-}

@@ -4,23 +4,20 @@ A model that is exact stays where it is; what is measured is what the simulation
 that give and friction that creeps.
 """
 
-# pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
-from xml.etree import ElementTree
 
 import numpy as np
 
 from l2a_lab import shapes
+from l2a_lab.states import largest_move, states_of
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.read import read_design
-from learn2assemble.export.formats import mjcf
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.planning.tiling.ordering import to_assembly
 
@@ -30,8 +27,6 @@ LIMIT = 1e-4
 """How far a block may get [m]."""
 GAPS = (1e-4, 0.0)
 """Widths of vertical joints [m]."""
-EVERY = 10
-"""Steps of the simulation between two looks at where the blocks are."""
 
 
 class Case(NamedTuple):
@@ -76,53 +71,9 @@ def structure(name: str, gap: float) -> Assembly:
     assembly = to_assembly(tiling, ordering, kit, gap=gap)
     if not case.props:
         return assembly.finished
-    standing = [standing_after(assembly, count) for count in range(1, len(assembly.steps) + 1)]
-    return max(standing, key=lambda made: sum(b.id.startswith("prop") for b in made.blocks))
-
-
-def standing_after(assembly: Assembly, count: int) -> Assembly:
-    """What stands after so many steps, as a finished structure: props are blocks like others."""
-    present: dict[str, None] = {}
-    for step in assembly.steps[:count]:
-        if step.action == "place":
-            present[step.block] = None
-        elif step.action == "remove":
-            del present[step.block]
-    blocks = tuple(
-        replace(block, prop=False)
-        for block in assembly.blocks
-        if block.id in present or block.support
+    return max(
+        states_of(assembly), key=lambda made: sum(b.id.startswith("prop") for b in made.blocks)
     )
-    return replace(assembly, blocks=blocks, steps=())
-
-
-def largest_move(assembly: Assembly, seconds: float = SECONDS, ground: bool = False) -> float:
-    """Largest distance of any block of the finished structure from its place, at any time of a
-    simulation of its MuJoCo model [m].
-
-    Args:
-        assembly: blocks where they stand.
-        seconds: of the simulation.
-        ground: z = 0 is one beside blocks that are supports, too, as those that are held.
-    """
-    import mujoco
-
-    made = ElementTree.fromstring(mjcf(assembly))
-    world = made.find("worldbody")
-    assert world is not None
-    if ground and world.find("geom[@name='table']") is None:
-        # The first geom, where models of blocks on the ground have it.
-        plane = ElementTree.Element("geom", name="table", type="plane", size="0 0 0.05")
-        world.insert(1, plane)
-    model = mujoco.MjModel.from_xml_string(ElementTree.tostring(made, encoding="unicode"))
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    before, worst = data.xpos.copy(), 0.0
-    for step in range(1, int(seconds / model.opt.timestep) + 1):
-        mujoco.mj_step(model, data)
-        if step % EVERY == 0:
-            worst = max(worst, float(np.linalg.norm(data.xpos - before, axis=1).max()))
-    return worst
 
 
 def entry(name: str) -> dict[str, Any]:
@@ -132,5 +83,5 @@ def entry(name: str) -> dict[str, Any]:
         "seconds": SECONDS,
         "blocks": len(made[GAPS[0]].blocks),
         "props": sum(b.id.startswith("prop") for b in made[GAPS[0]].blocks),
-        "largest_move_m": {f"{gap:g}": round(largest_move(made[gap]), 6) for gap in GAPS},
+        "largest_move_m": {f"{gap:g}": round(largest_move(made[gap], SECONDS), 6) for gap in GAPS},
     }

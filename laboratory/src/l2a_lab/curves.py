@@ -14,7 +14,7 @@ import numpy as np
 
 from l2a_lab.cell_jobs import row_cells
 from l2a_lab.cells import make_cell_policy
-from l2a_lab.measured import Figures
+from l2a_lab.measured import Figures, table_lines
 from l2a_lab.numbers import load_table
 from l2a_lab.runs import STAGE, Run, read_runs
 from l2a_lab.table import Condition, Row
@@ -206,11 +206,8 @@ def time_to(figure: Curves, runs: Path) -> list[Reached]:
 def costs_told(figures: Sequence[Curves], runs: Path) -> list[str]:
     """What trainings took to the paper's returns, as a table of the documents. Minutes are those of
     the machine and of what went on beside them, so samples say more."""
-    told = [
-        "| training | agents | samples | minutes each | R of the paper | came to it | "
-        "after samples | after minutes |",
-        "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
-    ]
+    head = ["training", "agents", "samples", "minutes each", "R of the paper", "came to it"]
+    rows: list[list[str]] = []
     for figure in figures:
         logs = dict(_logs(figure, runs))
         for reached in time_to(figure, runs):
@@ -219,12 +216,10 @@ def costs_told(figures: Sequence[Curves], runs: Path) -> list[str]:
             samples, spent = reached.samples[1], reached.seconds[1] / 60
             came = (f"{samples:,.0f}", f"{spent:.0f}") if np.isfinite(samples) else ("–", "–")
             label = f"{figure.name}: {reached.label}" if len(figures) > 1 else reached.label
-            told.append(
-                f"| {label} | {len(of)} | "
-                f"{max(log['samples'][-1] for log in of):,.0f} | {minutes:.0f} | {reached.level} | "
-                f"{reached.reached} | {came[0]} | {came[1]} |"
-            )
-    return told
+            most = max(log["samples"][-1] for log in of)
+            told = [f"{len(of)}", f"{most:,.0f}", f"{minutes:.0f}", f"{reached.level}"]
+            rows.append([label, *told, f"{reached.reached}", *came])
+    return table_lines([*head, "after samples", "after minutes"], rows)
 
 
 def hours_told(figures: Sequence[Curves], runs: Path) -> str:

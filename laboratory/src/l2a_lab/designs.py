@@ -6,12 +6,10 @@
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
-import gzip
-import json
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -20,13 +18,15 @@ from typing import Any
 import numpy as np
 
 from l2a_lab import creep, shapes
-from l2a_lab.measured import Figures, Result
+from l2a_lab.measured import Figures, Result, by_kind
+from l2a_lab.states import largest_move, states_of
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.kit import Kit, load_kit, orientations
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.read import read_design
 from learn2assemble.errors import InputError
+from learn2assemble.files import read_json_lines
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.planning.tiling.cover.candidates import find_candidates
 from learn2assemble.planning.tiling.cover.tile import Tiling, cover, seams_bridged
@@ -227,14 +227,14 @@ def proof_entry(wanted: np.ndarray, kit: Kit) -> Result:
     rng = np.random.default_rng(SEED)
     count = len(ordering.steps)
     chosen = sorted({*rng.integers(1, count + 1, PREFIXES - 1).tolist(), count})
-    holds, moves = 0, list[float]()
+    holds, moves, states = 0, list[float](), list(states_of(assembly))
     for steps in chosen:
         present = np.zeros(len(assembly.blocks), bool)
         for step in ordering.steps[:steps]:
             present[step.block] = step.place is not None
         holds += solve(assembly, contacts, FRICTION, present=present).stands
         if present.sum() <= SIMULATED:
-            moves.append(round(creep.largest_move(creep.standing_after(assembly, steps), 1.0), 6))
+            moves.append(round(largest_move(states[steps - 1], 1.0), 6))
     return {
         "status": "complete",
         "states": len(chosen),
@@ -311,29 +311,17 @@ def _checked(assembly: Assembly) -> Result:
     }
 
 
-def _masonry(path: Path) -> list[tuple[Result, Assembly]]:
-    with gzip.open(path, "rt", encoding="utf-8") as file:
-        cases = [json.loads(line) for line in file]
-    return [
-        (
-            case,
-            Assembly(
-                tuple(
-                    Block(
-                        str(b["id"]),
-                        np.array(b["vertices"]),
-                        b["faces"],
-                        density=b["density"],
-                        support=b["support"],
-                    )
-                    for b in case["blocks"]
-                ),
-                friction=case["friction"],
-                name=case["name"],
-            ),
-        )
-        for case in cases
+def recorded(path: Path) -> list[tuple[Mapping[str, Any], Assembly]]:
+    """The assemblies of a file of recorded verdicts, with what was said of each."""
+    return [(case, _assembly(case)) for case in read_json_lines(path, "file of verdicts")]
+
+
+def _assembly(case: Mapping[str, Any]) -> Assembly:
+    blocks = [
+        Block(str(b["id"]), b["vertices"], b["faces"], density=b["density"], support=b["support"])
+        for b in case["blocks"]
     ]
+    return Assembly(tuple(blocks), friction=case["friction"], name=case["name"])
 
 
 def masonry_entry(path: Path) -> Result:
@@ -342,7 +330,7 @@ def masonry_entry(path: Path) -> Result:
 
     started = time.perf_counter()
     rbe = coupled = wrong = 0
-    cases = _masonry(path)
+    cases = recorded(path)
     for case, assembly in cases:
         contacts = find_contacts(assembly)
         stands = solve(assembly, contacts).stands
@@ -360,7 +348,7 @@ def masonry_entry(path: Path) -> Result:
 
 def armadillo_entry(path: Path) -> Result:
     """The check of 399 blocks with warped faces."""
-    ((_, assembly),) = _masonry(path)
+    ((_, assembly),) = recorded(path)
     return _checked(assembly)
 
 
@@ -377,14 +365,7 @@ CHECKS: dict[str, tuple[Path, Callable[[Path], Result]]] = {
 
 def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
     """What was asked, and what was reached: (what, asked, got)."""
-
-    def group(kind: str) -> dict[str, Result]:
-        return {
-            name.partition("/")[2]: entry
-            for name, entry in entries.items()
-            if name.startswith(f"{kind}/")
-        }
-
+    groups = by_kind(entries)
     rows: list[tuple[str, str, str]] = []
 
     def row(what: str, asked: str, *got: object) -> None:
@@ -396,7 +377,7 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
             row(what, ">= 0.9", f"{min(walls):.3f} at least")
 
     for kind, words in (("shape", "shapes built"), ("drawn", "drawings built as drawn")):
-        made = group(kind)
+        made = groups[kind]
         built = {n: e for n, e in made.items() if e["status"] == "complete"}
         if made:
             tight = [n for n, e in made.items() if e.get("gap_0", {}).get("status") == "complete"]
@@ -427,19 +408,19 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
                         built if tight["status"] == "complete" else why,
                     )
             bonded(made, "seams bridged, walls and houses")
-    heaps = group("heap")
+    heaps = groups["heap"]
     if heaps:
         good = sum(e["filled"] and e["within_heap"] for e in heaps.values())
         row("limited heap", f"{len(heaps)} of {len(heaps)}", f"{good} of {len(heaps)}")
         bonded(heaps, "seams bridged, walls and houses of a limited heap")
-    proofs = [e for e in group("proofs").values() if e["states"]]
+    proofs = [e for e in groups["proofs"].values() if e["states"]]
     for key, total, what in (
         ("second_solver", "states", "step proofs, second solver"),
         ("stood", "simulated", "step proofs, MuJoCo with 0.1 mm joints"),
     ):
         if proofs:
             row(what, "100 %", sum(e[key] for e in proofs), "of", sum(e[total] for e in proofs))
-    for name, entry in group("large").items():
+    for name, entry in groups["large"].items():
         row(
             name,
             f"<= {entry['seconds_asked']:g} s",
@@ -447,7 +428,7 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
             f"{entry['status']}, {entry['blocks']} blocks, {entry['props']} props,",
             f"page {entry.get('page_bytes', 0) / 1e6:.2f} MB",
         )
-    for name, entry in group("creep").items():
+    for name, entry in groups["creep"].items():
         row(
             f"MuJoCo model, {entry['seconds']:g} s: {name}",
             f"<= {1e3 * creep.LIMIT:g} mm",
@@ -457,7 +438,7 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
                 for gap, move in entry["largest_move_m"].items()
             ),
         )
-    for name, entry in group("check").items():
+    for name, entry in groups["check"].items():
         if "cases" in entry:
             row("check: RBE agrees", "100 %", entry["rbe_agrees"], "of", entry["cases"])
             row("check: CRA agrees", ">= 60 of 62", entry["cra_agrees"], "of", entry["cases"])

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from l2a_lab.measured import Figures, Result
+from l2a_lab.measured import Figures, Result, table_lines
 from learn2assemble.envs.hidden import HiddenEnv
 from learn2assemble.envs.hidden_policies import (
     BelievedBlocks,
@@ -102,14 +102,17 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
 def page_table(entries: dict[str, Result]) -> str:
     """The sweep as Markdown, as the page of the benchmark has it."""
     own = f"{HIDDEN_TASKS[TASK].factor:g}"
-    names_of = ["score", f"completed, of {COUNT}", "without looks: score", "completed"]
-    lines = [f"| factor | with repair: {' | '.join(names_of)} |", "|---|---|---|---|---|"]
+    head = ["factor", "with repair: score", f"completed, of {COUNT}"]
+    head += ["without looks: score", "completed"]
+    rows: list[list[str]] = []
     for factor in (f"{value:g}" for value in FACTORS):
         repair, blind = (entries[f"{factor}/{who}"] for who in ("with repair", "without looks"))
-        told = [f"{one['score']:.3f} | {one['completed']}" for one in (repair, blind)]
+        told = [
+            t for one in (repair, blind) for t in (f"{one['score']:.3f}", f"{one['completed']}")
+        ]
         shown = f"**{factor}**" if factor == own else factor
-        lines.append(f"| {' | '.join([shown, *told])} |")
-    return "\n".join(lines) + "\n"
+        rows.append([shown, *told])
+    return "\n".join(table_lines(head, rows)) + "\n"
 
 
 FIGURES = Figures("learn2assemble-hidden-figures", names, entry, configuration, summary)

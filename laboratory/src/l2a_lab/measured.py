@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -83,6 +84,27 @@ def measure(
         left = (time.monotonic() - began) / done * (len(todo) - done)
         progress(f"{name}: {told}, {done} of {len(todo)}, about {left:.0f} s left")
     return found
+
+
+def by_kind(entries: Mapping[str, Result]) -> dict[str, dict[str, Result]]:
+    """Entries by what their names begin with, and by the rest; nothing of what is not there."""
+    found: dict[str, dict[str, Result]] = defaultdict(dict)
+    for name, one in entries.items():
+        kind, _, what = name.partition("/")
+        found[kind][what] = one
+    return found
+
+
+def table_lines(head: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> list[str]:
+    """A table in Markdown, numbers to the right.
+
+    Args:
+        head: names of the columns.
+        rows: what stands in them.
+        words: how many columns, from the left, are no numbers.
+    """
+    rule = [*["---"] * words, *["---:"] * (len(head) - words)]
+    return [f"| {' | '.join(line)} |" for line in (head, rule, *rows)]
 
 
 def _timed(entry: Callable[[str], Result], name: str) -> Result:

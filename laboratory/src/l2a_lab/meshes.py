@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import learn2assemble as l2a
-from l2a_lab.measured import Result
+from l2a_lab.measured import Result, table_lines
 from learn2assemble.assembly.files import read_assembly
 from learn2assemble.export.formats import export_assembly
 from learn2assemble.planning.plan import Plan
@@ -173,10 +173,10 @@ def mesh_rows(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
 def mesh_table(entries: dict[str, Result]) -> str:
     """What was reached, as the table of ``docs/bricks.md``."""
     head = ["mesh, with hands", "bricks", "processor time", "asked", "holds", "`check`"]
-    lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
+    rows: list[list[str]] = []
     for name in MESHES:
         one = entries[f"mesh/{name}"]
-        cells = [
+        told = [
             name,
             f"{one['placed']:,}" if one["status"] == "complete" else one["status"],
             f"{one['seconds']:.0f} s",
@@ -184,5 +184,5 @@ def mesh_table(entries: dict[str, Result]) -> str:
             f"{one['holds']:,}",
             f"{one['check_seconds']:.1f} s",
         ]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
+        rows.append(told)
+    return "\n".join(table_lines(head, rows)) + "\n"

@@ -32,6 +32,7 @@ from typing import NamedTuple
 import highspy
 import numpy as np
 
+from learn2assemble.assembly.kit import Cell, turned_cells
 from learn2assemble.constants import EDGE, HALF
 from learn2assemble.errors import Learn2AssembleError
 from learn2assemble.linear_programs import pass_columns
@@ -81,12 +82,10 @@ class ShapePose(NamedTuple):
     """bool[P]."""
 
 
-def turned(shape: np.ndarray, turns: int) -> np.ndarray:
-    """``shape`` (int64[m, 3]) after quarter turns about z."""
-    x, y, z = np.asarray(shape, np.int64).T
-    for _ in range(turns % 4):
-        x, y = -y, x
-    return np.stack([x, y, z], -1)
+def turns_of(shape: np.ndarray, rotations: int) -> list[tuple[Cell, ...]]:
+    """A shape (int64[m, 3]) after every number of quarter turns about z, below ``rotations``."""
+    cells = tuple((int(x), int(y), int(z)) for x, y, z in shape)
+    return [turned_cells(cells, turns) for turns in range(rotations)]
 
 
 def gaining_poses(lattice: Lattice, inventory: Inventory, rotations: int = 4) -> list[ShapePose]:
@@ -102,7 +101,7 @@ def gaining_poses(lattice: Lattice, inventory: Inventory, rotations: int = 4) ->
     for number, shape in enumerate(inventory.shapes):
         places = {
             frozenset((x, y, z) for x, y, z in (offsets + np.array(cell) - anchor).tolist())
-            for offsets in (turned(shape, turns) for turns in range(rotations))
+            for offsets in map(np.array, turns_of(shape, rotations))
             for cell in active
             for anchor in offsets
         }
@@ -279,7 +278,5 @@ def state_inventory(state: State, row: int, rotations: int = 4) -> Inventory:
     for name in np.unique(number):
         cells = position[number == name]
         shape = np.rint((cells - cells[0]) / EDGE).astype(np.int64)
-        ways = [turned(shape, turns) for turns in range(rotations)]
-        listed = [(way - way.min(0)).tolist() for way in ways]
-        found[min(tuple(sorted((x, y, z) for x, y, z in way)) for way in listed)] += 1
+        found[min(turns_of(shape, rotations))] += 1
     return Inventory([np.array(shape) for shape in found], list(found.values()))

@@ -11,6 +11,7 @@ from functools import partial
 from itertools import groupby
 from typing import Any, NamedTuple
 
+from l2a_lab.measured import table_lines
 from l2a_lab.numbers import EPISODES, NOT_MEASURED, Published, Summary, TableData, TableEntry
 from l2a_lab.table import HELPS, LOOK_AHEAD, MODEL_LABELS, OWN, PAPER_PROTOCOL, SEARCHED, Condition
 
@@ -270,9 +271,8 @@ def _lacking(paper: Published, ours: Summary) -> set[str]:
 
 
 def _markdown_rows(section: TableSection) -> list[str]:
-    rule = ["---"] + ["---:"] * (len(section.columns) - 1)
     rows = [[_coloured(_escape(cell)) for cell in row] for row in section.rows]
-    return [f"| {' | '.join(line)} |" for line in (section.columns, rule, *rows)]
+    return table_lines(section.columns, rows)
 
 
 def _coloured(text: str) -> str:
@@ -335,10 +335,8 @@ def losses_told(rows: TableData, anywhere: TableData) -> list[str]:
         rows, anywhere: two tables with the same rows, and columns in the same order.
     """
     conditions = [one for one in rows.table.conditions if compared(one)]
-    lines = [
-        f"| method | {' | '.join(column.task for column in rows.table.columns)} |",
-        f"| --- {'| --- ' * len(rows.table.columns)}|",
-    ]
+    head = ["method", *(column.task for column in rows.table.columns)]
+    lines: list[list[str]] = []
     for near, far in zip(rows.entries, anywhere.entries, strict=True):
         if near[0].row.budget:
             continue
@@ -347,5 +345,5 @@ def losses_told(rows: TableData, anywhere: TableData) -> list[str]:
             pairs = [(one.results.get(c), other.results.get(c)) for c in conditions]
             lost = [_two(a.R - b.R if a and b else None) for a, b in pairs]
             told.append(" / ".join(lost))
-        lines.append(f"| {near[0].row.name} | {' | '.join(told)} |")
-    return lines
+        lines.append([near[0].row.name, *told])
+    return table_lines(head, lines)

@@ -7,7 +7,6 @@ folder, ``evaluations`` (``eval-NAME.json`` by ``NAME``).
 
 from __future__ import annotations
 
-import argparse
 import json
 import zlib
 from collections.abc import Iterable, Mapping
@@ -16,14 +15,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from l2a_lab.packed import read_pack, write_pack
-from learn2assemble.cli.parser import named, overwrite_argument
+from learn2assemble.cli.parser import Command, arg, command, named, overwrite_argument
 from learn2assemble.errors import InputError, Remedy
-from learn2assemble.files import check_exists, check_new, read_json, read_json_lines, write_file
+from learn2assemble.files import (
+    check_exists,
+    check_new,
+    make_folder,
+    read_json,
+    read_json_lines,
+    write_file,
+)
 
 if TYPE_CHECKING:
+    import argparse
+
     from learn2assemble.cli.output import Output
     from learn2assemble.tasks.networks.agent import Agent
 
+COMMANDS: dict[str, Command] = {}
 RUNS = Path("results/runs.jsonl.gz")
 """The pack of a checkout."""
 STAGE = ".stage"
@@ -122,18 +131,18 @@ def list_agents(folder: Path) -> None:
 # ---------------------------------------------------------------- the command
 
 
-def keep_arguments(parser: argparse.ArgumentParser) -> None:
-    """Of the command that keeps finished trainings."""
-    add = parser.add_argument
-    add("folders", metavar="FOLDER", nargs="+", type=named, help="of a training; its name is kept")
-    add("--runs", type=named, default=RUNS, help="file that takes configuration and log")
-    add("--agents", type=named, default=Path("agents"), help="folder that takes the agent")
-    overwrite_argument(parser)
-
-
-def run_keep(options: argparse.Namespace, output: Output) -> None:
+@command(
+    COMMANDS,
+    "keep",
+    "keep a finished training: its agent in agents/, configuration and log with the results",
+    "l2a-lab keep runs/dqn-s0",
+    arg("folders", metavar="FOLDER", nargs="+", type=named, help="of a training; its name is kept"),
+    arg("--runs", type=named, default=RUNS, help="file that takes configuration and log"),
+    arg("--agents", type=named, default=Path("agents"), help="folder that takes the agent"),
+    overwrite_argument,
+)
+def _run_keep(options: argparse.Namespace, output: Output) -> None:
     """Keep finished trainings: all of them, or none."""
-    from l2a_lab.table_command import prepare
     from learn2assemble.tasks.networks.agent import save_agent
     from learn2assemble.tasks.networks.agent_fetch import ENDING
 
@@ -148,8 +157,8 @@ def run_keep(options: argparse.Namespace, output: Output) -> None:
         if name in kept:
             new = Remedy("overwrite", True, "replaces it")
             raise InputError(f"{options.runs}", name, "trainings that it has not yet", new)
-    prepare(options.runs.parent)
-    prepare(options.agents)
+    make_folder(options.runs.parent, "--runs")
+    make_folder(options.agents, "--agents")
     for agent in agents:
         file = options.agents / f"{agent.name}{ENDING}"
         check_new(file, "agent", *options.folders, overwrite=options.overwrite)

@@ -11,10 +11,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from l2a_lab.measured import Figures, Result
+from learn2assemble.acting.belief import step_between
+from learn2assemble.cell.pieces import symmetries
 from learn2assemble.geometry.hulls import hull_of
 from learn2assemble.geometry.rotations import (
     matrix_quaternion,
@@ -47,15 +50,7 @@ WEDGE: Shape = (
     Part((0.0, 0.0, 0.0), (0.04, 0.025, 0.02), hull_of(np.vstack([_CORNERS, [-4, 2.5, 2]]) / 100)),
 )
 SHAPES: dict[str, Shape] = {"brick 80 x 40 x 30 mm": BRICK, "cube of 40 mm": CUBE, "wedge": WEDGE}
-_HALVES = [np.diag(d).astype(float) for d in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))]
-_CYCLE = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
-_QUARTER = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-_TWELVE = [half @ k for half in _HALVES for k in (np.eye(3), _CYCLE, _CYCLE @ _CYCLE)]
-TURNS: dict[Shape, tuple[np.ndarray, ...]] = {
-    BRICK: tuple(_HALVES),
-    CUBE: tuple(turn @ k for turn in _TWELVE for k in (np.eye(3), _QUARTER)),
-    WEDGE: (np.eye(3),),
-}
+TURNS: dict[Shape, tuple[np.ndarray, ...]] = {one: symmetries(one) for one in SHAPES.values()}
 
 
 def camera(name: str, x: float, y: float, z: float, noise: DepthNoise | None = None) -> DepthCamera:
@@ -100,7 +95,8 @@ def entry(name: str) -> Result:
     if kind == "look":
         return _look(int(what.split()[0]), cameras)
     if kind == "calibrated":
-        return _calibrated(int(what), cameras)
+        told = calibration(int(what), cameras)._asdict()
+        return {name: told[name] for name in ("before_mm", "after_mm", "readings")}
     return _poses(SHAPES[what], SCENES[kind], cameras)
 
 
@@ -271,7 +267,7 @@ def _look(count: int, cameras: tuple[DepthCamera, ...]) -> Result:
     }
 
 
-def off_cameras(seed: int, cameras: Sequence[DepthCamera]) -> list[SimulatedCamera]:
+def _off_cameras(seed: int, cameras: Sequence[DepthCamera]) -> list[SimulatedCamera]:
     """Cameras that truly are 3 mm and 1 degree from where they are taken to be, somewhere."""
     rng, devices = np.random.default_rng(seed), list[SimulatedCamera]()
     for k, one in enumerate(cameras):
@@ -281,21 +277,27 @@ def off_cameras(seed: int, cameras: Sequence[DepthCamera]) -> list[SimulatedCame
     return devices
 
 
-def calibration(
-    devices: Sequence[SimulatedCamera],
-    cameras: Sequence[DepthCamera],
-    places: Sequence[tuple[float, float]] = PLACES,
-    seed: int = 0,
-) -> tuple[tuple[DepthCamera, ...], int]:
-    """Cameras as calibrated by the empty table and by bricks that the arm has put down, alone; and
-    how many readings there were.
+class CalibratedRig(NamedTuple):
+    """Cameras that were 3 mm and 1 degree off."""
+
+    cameras: tuple[DepthCamera, ...]
+    """As calibrated."""
+    off: tuple[tuple[float, ...], ...]
+    """By how much each truly is elsewhere, as :class:`Disturbance` has it."""
+    before_mm: float
+    after_mm: float
+    """How far what they see is from where it is, see :func:`_wrong`."""
+    readings: int
+
+
+def calibration(seed: int, cameras: Sequence[DepthCamera]) -> CalibratedRig:
+    """Cameras calibrated by the empty table and by bricks that the arm has put down, alone.
 
     Args:
-        devices: the cameras as they are.
+        seed: of how far they are off, and of how exactly the arm puts the bricks down.
         cameras: where they are taken to be.
-        places: of the bricks [m].
-        seed: of how exactly the arm puts them down.
     """
+    devices = _off_cameras(seed, cameras)
     rng, readings = np.random.default_rng([seed, 1]), list[Sighting]()
     base = np.array([0.0, -0.5, 0.0, *yaw_quaternion(math.pi / 2)])
     # A camera that is off sees the table lean; that comes first.
@@ -303,7 +305,7 @@ def calibration(
     for one, device in zip(cameras, devices, strict=True):
         readings += table_sightings(device.look([empty]), one)[::4]
     level = calibrated(base, cameras, readings).cameras
-    for number, (x, y) in enumerate(places):
+    for number, (x, y) in enumerate(PLACES):
         told = resting(BRICK, x, y, 0.5 * number)
         true = told.copy()
         true[:2] += rng.normal(0, PLACED, 2)
@@ -324,22 +326,16 @@ def calibration(
                 there = told[:3] + quaternion_matrix(told[3:]) @ arm
                 local = (here - one.position) @ one.turn
                 readings.append(Sighting(one.name, local, there))
-    return calibrated(base, cameras, readings).cameras, len(readings)
+    found = calibrated(base, cameras, readings).cameras
+    off = tuple(
+        tuple(step_between(np.array(one.pose), np.array(device.camera.pose)).tolist())
+        for one, device in zip(found, devices, strict=True)
+    )
+    before, after = (_wrong(some, devices) for some in (cameras, found))
+    return CalibratedRig(found, off, before, after, len(readings))
 
 
-def _calibrated(seed: int, cameras: tuple[DepthCamera, ...]) -> Result:
-    """Cameras that are off, calibrated: how far what they see is from where it is, at places on and
-    above the table."""
-    devices = off_cameras(seed, cameras)
-    after, count = calibration(devices, cameras, seed=seed)
-    return {
-        "before_mm": wrong(cameras, devices),
-        "after_mm": wrong(after, devices),
-        "readings": count,
-    }
-
-
-def wrong(told: Sequence[DepthCamera], devices: Sequence[SimulatedCamera]) -> float:
+def _wrong(told: Sequence[DepthCamera], devices: Sequence[SimulatedCamera]) -> float:
     """How far from where it is cameras take something at most that is on or above the table
     [mm]."""
     points = np.array([[x, y, z] for x in (-0.2, 0, 0.2) for y in (-0.2, 0, 0.2) for z in (0, 0.1)])

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
+
+from learn2assemble.tasks.designs import grounded
 
 Cells = np.ndarray
 """bool[X, Y, Z]."""
@@ -137,18 +138,7 @@ def blob(seed: int, n: int, balls: int) -> Cells:
         radius = rng.uniform(n / 6, n / 3.5)
         cells |= ((grid - centre) ** 2).sum(-1) < radius**2
         centre = np.clip(centre + rng.uniform(-n / 6, n / 6, 3) + [0, 0, n / 10], n / 5, 4 * n / 5)
-    return grounded(cells)
-
-
-def grounded(cells: Cells) -> Cells:
-    """The part that hangs together with the lowest level, moved down to the table."""
-    from scipy import ndimage  # pyright: ignore[reportMissingTypeStubs]
-
-    cells = cells[:, :, np.flatnonzero(cells.any((0, 1)))[0] :]
-    parts = np.zeros(cells.shape, np.int32)
-    library: Any = ndimage
-    library.label(cells, output=parts)
-    return cells & np.isin(parts, parts[:, :, 0])
+    return grounded(cells[:, :, np.flatnonzero(cells.any((0, 1)))[0] :])
 
 
 def letter(rows: str, thick: int, scale: int = 1) -> Cells:
@@ -165,14 +155,6 @@ def table(x: int, y: int, height: int, leg: int, top: int = 1) -> Cells:
     for xs in (slice(0, leg), slice(x - leg, x)):
         for ys in (slice(0, leg), slice(y - leg, y)):
             cells[xs, ys] = True
-    return cells
-
-
-def pyramid(n: int, step: int = 1) -> Cells:
-    """Solid."""
-    cells = np.zeros((n, n, (n + 2 * step - 1) // (2 * step)), bool)
-    for k in range(cells.shape[2]):
-        cells[k * step : n - k * step, k * step : n - k * step, k] = True
     return cells
 
 

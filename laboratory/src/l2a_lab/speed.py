@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from l2a_lab.measured import Figures, Result
+from l2a_lab.measured import Figures, Result, table_lines
 from learn2assemble.benchmark import (
     BATCH,
     TASK,
@@ -133,12 +133,10 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
 
 def table(entries: dict[str, Result]) -> str:
     """Steps a second, in Markdown."""
-    lines = ["| played | median | lowest | highest |", "| --- | ---: | ---: | ---: |"]
-    for what in MEASURED:
-        rates = entries[RUN][what]
-        told = [f"{rates[of]:,}" for of in ("median", "lowest", "highest")]
-        lines.append(f"| {' | '.join([what, *told])} |")
-    return "\n".join(lines)
+    of = ("median", "lowest", "highest")
+    found = entries[RUN]
+    rows = [[what, *(f"{found[what][one]:,}" for one in of)] for what in MEASURED]
+    return "\n".join(table_lines(("played", *of), rows))
 
 
 FIGURES = Figures("learn2assemble-speed-figures", lambda: [RUN], entry, configuration, summary)

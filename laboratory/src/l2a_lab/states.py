@@ -4,15 +4,17 @@ What is proven of a state rests on blocks that touch exactly. MuJoCo is the othe
 let go all at once with joints that are open by a tenth of a millimetre.
 """
 
+# pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 
-from l2a_lab.creep import largest_move
 from learn2assemble.assembly.blocks import Assembly, Block
+from learn2assemble.export.formats import mjcf
 from learn2assemble.geometry.hulls import area_vector
 from learn2assemble.statics.rigid_blocks import SIDE
 
@@ -20,6 +22,8 @@ GAP = 1e-4
 """Width of the joints that are open [m]."""
 SECONDS = 1.0
 """Of every simulation."""
+EVERY = 10
+"""Steps of the simulation between two looks at where the blocks are."""
 
 
 def states_of(assembly: Assembly) -> Iterator[Assembly]:
@@ -89,6 +93,35 @@ def _drawn_in(block: Block, depth: float, which: Callable[[np.ndarray], np.ndarr
         mine = [n for n, face in enumerate(block.faces) if k in face]
         vertices[k] += np.linalg.lstsq(normals[mine], moves[mine], rcond=1e-6)[0]
     return replace(block, vertices=vertices)
+
+
+def largest_move(assembly: Assembly, seconds: float, ground: bool = False) -> float:
+    """Largest distance of any block of the finished structure from its place, at any time of a
+    simulation of its MuJoCo model [m].
+
+    Args:
+        assembly: blocks where they stand.
+        seconds: of the simulation.
+        ground: z = 0 is one beside blocks that are supports, too, as those that are held.
+    """
+    import mujoco
+
+    made = ElementTree.fromstring(mjcf(assembly))
+    world = made.find("worldbody")
+    assert world is not None
+    if ground and world.find("geom[@name='table']") is None:
+        # The first geom, where models of blocks on the ground have it.
+        plane = ElementTree.Element("geom", name="table", type="plane", size="0 0 0.05")
+        world.insert(1, plane)
+    model = mujoco.MjModel.from_xml_string(ElementTree.tostring(made, encoding="unicode"))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    before, worst = data.xpos.copy(), 0.0
+    for step in range(1, int(seconds / model.opt.timestep) + 1):
+        mujoco.mj_step(model, data)
+        if step % EVERY == 0:
+            worst = max(worst, float(np.linalg.norm(data.xpos - before, axis=1).max()))
+    return worst
 
 
 def largest_moves(

@@ -7,8 +7,6 @@ are of the processor, so that other programs on the machine do not count.
 
 from __future__ import annotations
 
-import gzip
-import json
 import runpy
 import time
 from collections import Counter
@@ -17,15 +15,18 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from l2a_lab.designs import recorded
 from l2a_lab.fewest_posts import fewest_posts, random_assembly
-from l2a_lab.measured import Figures, Result
+from l2a_lab.measured import Figures, Result, by_kind
 from l2a_lab.meshes import MESHES, mesh_entry, mesh_rows
 from l2a_lab.rebuilding import CARRIED, PAIRS, RATIO, carried_entry, rebuild_entry
 from l2a_lab.states import GAP, count_states, every, largest_moves
 from l2a_lab.states import SECONDS as SIMULATED
-from learn2assemble.assembly.blocks import Assembly, Block
+from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.cuts import POST
 from learn2assemble.assembly.files import from_json
+from learn2assemble.assembly.instructions.words import count_words
+from learn2assemble.files import read_json_lines
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.statics.rigid_blocks import check
@@ -56,12 +57,9 @@ class Case(NamedTuple):
     """What it is made from."""
 
 
-def _script(file: str, function: str, **arguments: Any) -> Callable[[], Assembly]:
+def script(file: str, function: str, **arguments: Any) -> Callable[[], Assembly]:
+    """What makes an example of given blocks."""
     return lambda: runpy.run_path(str(STRUCTURES / f"{file}.py"))[function](**arguments)
-
-
-def _document(path: Path) -> dict[str, Any]:
-    return json.loads(gzip.decompress(path.read_bytes()))
 
 
 VAULT, ARMADILLO = REFERENCE / "crossvault.json.gz", REFERENCE / "masonry_armadillo.json.gz"
@@ -69,34 +67,29 @@ VAULT, ARMADILLO = REFERENCE / "crossvault.json.gz", REFERENCE / "masonry_armadi
 
 def cross_vault() -> Assembly:
     """The recorded cross vault of 184 voussoirs."""
-    return from_json(_document(VAULT))
+    return from_json(next(read_json_lines(VAULT, "assembly")))
 
 
 def armadillo() -> Assembly:
     """The recorded shell of 399 blocks."""
-    case = _document(ARMADILLO)
-    blocks = [
-        Block(str(b["id"]), b["vertices"], b["faces"], density=b["density"], support=b["support"])
-        for b in case["blocks"]
-    ]
-    return Assembly(tuple(blocks), friction=case["friction"], name=case["name"])
+    return recorded(ARMADILLO)[0][1]
 
 
 _ARCHES = {
-    9: _script("arch", "arch", voussoirs=9),
-    21: _script("arch", "arch", voussoirs=21, radius=0.5, thickness=0.14),
+    9: script("arch", "arch", voussoirs=9),
+    21: script("arch", "arch", voussoirs=21, radius=0.5, thickness=0.14),
 }
 ORDERS: dict[str, Case] = {
-    "turned wall, 64 bricks": Case(_script("turned_wall", "turned_wall", bricks=64), 0.5),
-    "turned wall, 500 bricks": Case(_script("turned_wall", "turned_wall", bricks=500), 5),
-    "turned wall, 2,000 bricks": Case(_script("turned_wall", "turned_wall", bricks=2000), 45),
+    "turned wall, 64 bricks": Case(script("turned_wall", "turned_wall", bricks=64), 0.5),
+    "turned wall, 500 bricks": Case(script("turned_wall", "turned_wall", bricks=500), 5),
+    "turned wall, 2,000 bricks": Case(script("turned_wall", "turned_wall", bricks=2000), 45),
     "arch, 9 voussoirs": Case(_ARCHES[9], 1, posts=4),
     "arch, 21 voussoirs": Case(_ARCHES[21], 1, posts=6),
     "arch, 9 voussoirs, one hold": Case(_ARCHES[9], 1, posts=0, holds=1),
     "arch, 21 voussoirs, one hold": Case(_ARCHES[21], 1, posts=0, holds=1),
-    "barrel vault, 10 x 9": Case(_script("vaults", "barrel_vault"), 30),
-    "dome, 121 voussoirs": Case(_script("dome", "dome"), 30),
-    "spiral stair, 24 steps": Case(_script("spiral_stair", "spiral_stair"), 30),
+    "barrel vault, 10 x 9": Case(script("vaults", "barrel_vault"), 30),
+    "dome, 121 voussoirs": Case(script("dome", "dome"), 30),
+    "spiral stair, 24 steps": Case(script("spiral_stair", "spiral_stair"), 30),
     "cross vault, 184 voussoirs": Case(cross_vault, 60, file=VAULT),
     "armadillo, 399 blocks": Case(armadillo, 240, file=ARMADILLO),
 }
@@ -161,10 +154,10 @@ def entry(name: str) -> Result:
 def _warm() -> None:
     """Plan and check something small, which loads and compiles what they use."""
     for holds in (0, 1):
-        plan_assembly(_script("arch", "arch", voussoirs=5)(), holds=holds)
+        plan_assembly(script("arch", "arch", voussoirs=5)(), holds=holds)
     # What a stair takes and an arch does not.
-    plan_assembly(_script("spiral_stair", "spiral_stair", steps=6)())
-    check(_script("arch", "arch", voussoirs=5)())
+    plan_assembly(script("spiral_stair", "spiral_stair", steps=6)())
+    check(script("arch", "arch", voussoirs=5)())
 
 
 # ---------------------------------------------------------------- entries
@@ -242,7 +235,7 @@ def pile_entry(seed: int) -> Result:
     Where stones touch at points there are no joints to open; all faces drawn in are stones that lie
     0.1 mm above one another, so this move has their way down in it.
     """
-    pile = _script("stones", "stones", count=STONES, seed=seed, laid=True)()
+    pile = script("stones", "stones", count=STONES, seed=seed, laid=True)()
     plan, result = _planned(pile)
     assert plan.assembly is not None
     moves = largest_moves(plan.assembly)
@@ -265,21 +258,18 @@ def states_entry(case: Case) -> Result:
 def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
     """What was asked, and what was reached: (what, asked, got)."""
     rows: list[tuple[str, str, str]] = []
-    groups: dict[str, dict[str, Result]] = {}
-    for name, one in entries.items():
-        kind, _, what = name.partition("/")
-        groups.setdefault(kind, {})[what] = one
-    for name, one in groups.get("order", {}).items():
+    groups = by_kind(entries)
+    for name, one in groups["order"].items():
         asked, got = f"<= {one['seconds_asked']:g} s", f"{one['seconds']:.1f} s, {one['status']}"
         if one["posts_asked"] is not None:
             asked += f", <= {one['posts_asked']} posts at once"
         got += f", {one['posts_at_once']} posts and {one['held_at_once']} held at once"
         rows.append((name, asked, got + (f" ({one['reason']})" if one["reason"] else "")))
-    for name, one in groups.get("check", {}).items():
+    for name, one in groups["check"].items():
         got = f"{one['seconds']:.1f} s, {one['verdict']}"
         rows.append((f"check: {name}", f"<= {one['seconds_asked']:g} s", got))
-    rows += mesh_rows(groups.get("mesh", {}))
-    if posts := groups.get("posts"):
+    rows += mesh_rows(groups["mesh"])
+    if posts := groups["posts"]:
         known = {name: one for name, one in posts.items() if one["fewest_posts"] is not None}
         same = [
             name
@@ -288,20 +278,20 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
         ]
         left = ", ".join(sorted(set(known) - set(same), key=int)) or "none"
         rows.append(("fewest posts", "all", f"{len(same)} of {len(known)}; not: {left}"))
-    if piles := groups.get("pile"):
+    if piles := groups["pile"]:
         rows += _pile_rows(piles)
-    if pairs := groups.get("rebuild"):
+    if pairs := groups["rebuild"]:
         rows += _pair_rows(pairs)
     for kind, arms in CARRIERS.items():
-        if carried := groups.get(kind):
+        if carried := groups[kind]:
             rows.append(
                 (
-                    f"pairs carried out by {arms} arm{'s' * (arms > 1)}",
+                    f"pairs carried out by {count_words(arms, 'arm')}",
                     "all",
                     _carried_words(carried),
                 )
             )
-    for name, one in groups.get("states", {}).items():
+    for name, one in groups["states"].items():
         got = f"{1e3 * one['largest_move_m']:.3f} mm, {one['simulated']} of {one['states']} states"
         rows.append((f"MuJoCo: {name}", f"<= {1e3 * LIMIT:g} mm", got))
     return rows

@@ -9,11 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from learn2assemble.cli.parser import (
+    Command,
+    arg,
+    at_most_one,
+    command,
     count,
     named,
     workers_arguments,
 )
-from learn2assemble.errors import InputError
+from learn2assemble.files import make_folder
 
 if TYPE_CHECKING:
     from l2a_lab.cell_jobs import CellJob
@@ -24,41 +28,42 @@ if TYPE_CHECKING:
 QUICK_EPISODES = 50
 
 
-def table_arguments(parser: argparse.ArgumentParser) -> None:
+COMMANDS: dict[str, Command] = {}
+
+
+def _name(parser: argparse.ArgumentParser) -> None:
     from l2a_lab.tables import TABLES
 
-    add = parser.add_argument
-    add("name", metavar="NAME", help=", ".join(TABLES))
-    add("--out", type=named, default=Path("results"), help="folder of the results")
-    add(
+    parser.add_argument("name", metavar="NAME", help=", ".join(TABLES))
+
+
+@command(
+    COMMANDS,
+    "table",
+    "measure a table of the paper and print it beside the paper's numbers",
+    "l2a-lab table T2",
+    _name,
+    arg("--out", type=named, default=Path("results"), help="folder of the results"),
+    arg(
         "--episodes",
         type=count,
         default=None,
         help="problems of a cell, in place of 1000 (200 and 100 with an arm)",
-    )
-    workers_arguments(parser, "processes (all cores)")
-    add(
+    ),
+    lambda parser: workers_arguments(parser, "processes (all cores)"),
+    arg(
         "--quick",
         action="store_true",
         help="one agent a row and 50 episodes, into the folder quick below --out",
-    )
-    source = parser.add_mutually_exclusive_group()
-    source.add_argument(
-        "--agents",
-        type=named,
-        default=None,
-        help="folder of agents or runs (the shipped ones)",
-    )
-    source.add_argument(
-        "--train", action="store_true", help="first train all its agents in --runs, or go on"
-    )
-    source.add_argument(
-        "--from-files", action="store_true", help="measure nothing: print what --out holds"
-    )
-    add("--runs", type=named, default=Path("runs"), help="folder of --train")
-
-
-def run_table(options: argparse.Namespace, output: Output) -> None:
+    ),
+    at_most_one(
+        arg("--agents", type=named, default=None, help="folder of agents or runs (shipped ones)"),
+        arg("--train", action="store_true", help="first train all its agents in --runs, or go on"),
+        arg("--from-files", action="store_true", help="measure nothing: print what --out holds"),
+    ),
+    arg("--runs", type=named, default=Path("runs"), help="folder of --train"),
+)
+def _run_table(options: argparse.Namespace, output: Output) -> None:
     from l2a_lab import cell_jobs, report
     from l2a_lab.cells import find_agents
     from l2a_lab.numbers import load_table
@@ -70,7 +75,7 @@ def run_table(options: argparse.Namespace, output: Output) -> None:
     workers: int = options.workers or os.cpu_count() or 1
     most = 1 if options.quick else None
     agents = {} if options.train or options.from_files else find_agents(options.agents)
-    prepare(root)
+    make_folder(root, "--out")  # Before hours of work.
     read_tables(root)  # What cannot be written is told before hours of work.
     if options.quick:
         output.progress(report.QUICK)
@@ -113,15 +118,6 @@ def _words(todo: list[CellJob], workers: int) -> str:
         f": {episodes} episodes on {len(tasks)} tasks, roughly {long} with {workers} processes; "
         "--quick measures less, --from-files nothing"
     )
-
-
-def prepare(folder: Path) -> None:
-    """Make a folder of results, before hours of work."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = error.strerror or "unwritable"
-        raise InputError("--out", str(folder), f"a writable folder ({reason})") from None
 
 
 def _measure(root: Path, todo: list[CellJob], name: str, workers: int, ray: str | None) -> None:

@@ -9,7 +9,6 @@ keep from each other is measured by another collision library (:mod:`.arm_distan
 from __future__ import annotations
 
 import math
-import runpy
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,12 +19,14 @@ import numpy as np
 
 from l2a_lab import two_arms_bricks
 from l2a_lab.arm_distances import MOMENTS, WatchedCell
-from l2a_lab.builds import EXAMPLES, PLAN_SECONDS, READINGS, SMALL_FIRST, STRUCTURES, SUPPLY
-from l2a_lab.measured import Figures, Result
+from l2a_lab.builds import EXAMPLES, PLAN_SECONDS, READINGS, SMALL_FIRST, SUPPLY
+from l2a_lab.measured import Figures, Result, table_lines
 from l2a_lab.shapes import SHAPES, wall
 from l2a_lab.stopped_arm import APART, Job, drawn, stopped
+from l2a_lab.structures import script
 from l2a_lab.two_arms_bricks import BOTH, BRICKS, WHO
 from learn2assemble.acting.carry_out import carry_out
+from learn2assemble.assembly.instructions.words import count_words
 from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
 from learn2assemble.cell.reach import Base
 from learn2assemble.cell.site import Site
@@ -200,8 +201,8 @@ def _holding(what: str, radius: float, workcell: Workcell, started: float) -> Re
 def _planned(what: str, radius: float) -> tuple[Plan, list[Member]]:
     """An arch or a vault that is planned with both arms, and these."""
     held = HELD[what]
-    made = runpy.run_path(str(STRUCTURES / f"{held.file}.py"))[held.made]
-    arch = made(**{**held.size, "radius": held.size["radius"] + radius})
+    size = {**held.size, "radius": held.size["radius"] + radius}
+    arch = script(held.file, held.made, **size)()
     if held.density is not None:
         blocks = tuple(replace(block, density=held.density) for block in arch.blocks)
         arch = replace(arch, blocks=blocks)
@@ -284,7 +285,7 @@ def _design(what: str) -> tuple[CellDesign, Kit]:
         if what in SCALED:
             kit = load_kit(DEFAULT_KIT).at_pitch((CELL, CELL, CELL))
         cells = wall(*WALLS[what]) if what in WALLS else SCALED[what]()
-        return CellDesign(what, cells, kit.pitch, None, 0.0, None, "", None), kit
+        return CellDesign(what, cells, kit.pitch), kit
     design = read_design(EXAMPLES / what)
     assert isinstance(design, CellDesign)
     return design, load_kit(design.kit or DEFAULT_KIT).at_pitch(design.cell)
@@ -310,10 +311,8 @@ def beside_one(entries: dict[str, Result], what: str) -> tuple[Result, float | N
 def table(entries: dict[str, Result]) -> str:
     """What was reached by both arms, in Markdown, as far as it was measured; designs of 40 to 100
     blocks last, with their mean."""
-    lines = [
-        "| design | blocks | two arms [s] | one [s] | ratio | least distance [mm] |",
-        "| --- | ---: | ---: | ---: | ---: | ---: |",
-    ]
+    head = ("design", "blocks", "two arms [s]", "one [s]", "ratio", "least distance [mm]")
+    rows: list[list[str]] = []
     for kind, designs in SETS.items():
         shares: list[float] = []
         for design in designs:
@@ -326,11 +325,11 @@ def table(entries: dict[str, Result]) -> str:
                 shares += [] if share is None else [share]
                 alone = ("no arm alone", "") if first is None else (f"{first:.1f}", f"{share:.2f}")
                 told = [f"{both['robot_s']:.1f}", *alone, f"{1e3 * both['least_distance']:.1f}"]
-            lines.append(f"| {' | '.join([design, str(both['blocks']), *told])} |")
+            rows.append([design, str(both["blocks"]), *told])
         if kind == "eight" and shares:
             mean = f"mean of {len(shares)} of the eight"
-            lines.append(f"| {mean} | | | | {np.mean(shares):.2f} | |")
-    return "\n".join(lines)
+            rows.append([mean, "", "", "", f"{np.mean(shares):.2f}", ""])
+    return "\n".join(table_lines(head, rows))
 
 
 def stops_told(entries: dict[str, Result]) -> str:
@@ -353,23 +352,19 @@ def holds_told(entries: dict[str, Result], what: str = "arch of 9", kind: str = 
     built = [entries[name] for name in entries if name.startswith(f"{kind}/{what}/")]
     done = [one for one in built if one["status"] == "complete"]
     were = "was" if len(done) == 1 else "were"
-    words = f"Of {_count(len(built), 'build')} of the {what}, {len(done)} {were} complete"
+    words = f"Of {count_words(len(built), 'build')} of the {what}, {len(done)} {were} complete"
     if not done:
         reasons = {one["reason"] for one in built}
         return f"{words} ({'; '.join(sorted(map(str, reasons)))})."
     most = {what: max(one[what] for one in done) for what in ("holds", "posts", "robot_s")}
-    words += f", with {_count(most['holds'], 'hold')} and {_count(most['posts'], 'post')} set by "
-    words += f"hand at most, in {most['robot_s']:.1f} s at most. "
+    held, posts = (count_words(most[f"{what}s"], what) for what in ("hold", "post"))
+    words += f", with {held} and {posts} set by hand at most, in {most['robot_s']:.1f} s at most. "
     off = 1e3 * np.array([one["error_worst"] for one in done])
     words += f"The block that was farthest from its place was {off.max():.2f} mm off at most, "
     words += f"{np.median(off):.2f} mm in the middle of them; {int((off <= 1e3 * MOST_OFF).sum())} "
     least = min(one["least_distance"] for one in done)
     words += f"kept {1e3 * MOST_OFF:g} mm; the arms were {1e3 * least:.0f} mm apart at least."
     return words
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:

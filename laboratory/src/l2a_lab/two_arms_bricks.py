@@ -7,8 +7,6 @@ for one another: less than that it cannot be with these motions.
 
 from __future__ import annotations
 
-import gzip
-import json
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -18,7 +16,7 @@ import numpy as np
 
 import learn2assemble as l2a
 from l2a_lab.arm_distances import WatchedCell
-from l2a_lab.measured import Result
+from l2a_lab.measured import Result, table_lines
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.bricks.files import of_stablelego
 from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
@@ -27,6 +25,7 @@ from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.workcell import Workcell
+from learn2assemble.files import read_json_lines
 from learn2assemble.team.members import set_up_team
 from learn2assemble.team.pair import bricks_by_team, gather
 from learn2assemble.team.together import Together, built_by
@@ -99,8 +98,7 @@ def _together(bricks: Assembly, tool: str, started: float) -> Result:
 def _bricks(what: str) -> Assembly:
     if what == WALL:
         return wall(LENGTH, LAYERS)
-    with gzip.open(RECORDED, "rt") as file:
-        found = {told["name"]: told for told in map(json.loads, file)}
+    found = {told["name"]: told for told in read_json_lines(RECORDED, "file of bricks")}
     return of_stablelego(found[what], what, what, None)
 
 
@@ -127,11 +125,9 @@ def share(entries: dict[str, Result], what: str, tool: str = TOOL) -> float | No
 
 def table(entries: dict[str, Result]) -> str:
     """What was reached, in Markdown, as far as it was measured, with the mean of the tasks."""
-    lines = [
-        "| bricks | tool | bricks | two arms [s] | one after the other [s] | ratio | one arm [s] "
-        "| least distance [mm] |",
-        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |",
-    ]
+    head = ["bricks", "tool", "bricks", "two arms [s]", "one after the other [s]", "ratio"]
+    head += ["one arm [s]", "least distance [mm]"]
+    rows: list[list[str]] = []
     for tool in TOOLS:
         for what in BRICKS:
             both, one = (_of(entries, what, who, tool) for who in (BOTH, ARM))
@@ -144,12 +140,11 @@ def table(entries: dict[str, Result]) -> str:
             alone = one.get("status", "")
             alone = f"{one['robot_s']:.1f}" if alone == "complete" else alone
             apart = f"{1e3 * both['least_distance']:.1f}" if part is not None else ""
-            cells = [what, tool, str(both.get("blocks", "")), *told, alone, apart]
-            lines.append(f"| {' | '.join(cells)} |")
+            rows.append([what, tool, str(both.get("blocks", "")), *told, alone, apart])
         if found := _shares(entries, tool):
             words = f"mean of {count_words(len(found), 'task')} of APEX-MR"
-            lines.append(f"| {words} | {tool} | | | | {np.mean(found):.2f} | | |")
-    return "\n".join(lines)
+            rows.append([words, tool, "", "", "", f"{np.mean(found):.2f}", "", ""])
+    return "\n".join(table_lines(head, rows, 2))
 
 
 def _shares(entries: dict[str, Result], tool: str) -> list[float]:

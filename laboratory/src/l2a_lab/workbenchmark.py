@@ -12,10 +12,7 @@ from its own middle, stands in the middle of the bricks that wait.
 
 from __future__ import annotations
 
-import gzip
-import json
 import math
-import zlib
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache, partial
@@ -25,8 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from l2a_lab.measured import Figures, Result
-from l2a_lab.sensing import FINE, calibration, camera, off_cameras
-from learn2assemble.acting.belief import step_between
+from l2a_lab.sensing import FINE, calibration, camera
 from learn2assemble.acting.carry_out import Workcell, carry_out
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.boxes import box_block
@@ -34,6 +30,7 @@ from learn2assemble.assembly.kit import Kind, Kit, load_kit
 from learn2assemble.cell.pieces import Pose
 from learn2assemble.cell.site import Position, Site
 from learn2assemble.errors import InputError, look_up
+from learn2assemble.files import read_json_lines
 from learn2assemble.planning.brick_plan import plan_for_arm
 from learn2assemble.planning.plan import Plan
 from learn2assemble.plants.setup import Disturbance
@@ -64,7 +61,7 @@ RIG = (
 are 3 mm and 1 degree off until they are calibrated, as in ``measure-builds``."""
 CALIBRATIONS = 8
 """So many cells are calibrated; tasks take turns."""
-MOST_TASKS, MOST_BRICKS, MOST_BYTES = 10_000, 100, 50_000_000
+MOST_TASKS, MOST_BRICKS = 10_000, 100
 PUBLISHED = {
     "structured baseline, sensed state": (94.0, 87.0, 67.0, 62.0, 77.5),
     "planner, known state, welded bricks": (100.0, 100.0, 70.0, 27.0, 74.2),
@@ -109,27 +106,17 @@ def read_tasks(path: Path) -> dict[str, Task]:
     Raises:
         InputError: in one line, for what is no such file.
     """
-    where = f"--tasks {path}"
-    try:
-        content = path.read_bytes()
-        if content[:2] == b"\x1f\x8b":
-            with gzip.open(path) as file:
-                content = file.read(MOST_BYTES + 1)
-        lines = content[: MOST_BYTES + 1].decode("utf-8").splitlines()
-    except (OSError, EOFError, zlib.error, UnicodeDecodeError):
-        raise InputError("--tasks", str(path), "a file of JSON lines, perhaps .gz") from None
-    if len(content) > MOST_BYTES or not 0 < len(lines) <= MOST_TASKS:
-        raise InputError("--tasks", f"{len(lines)} lines", f"1 to {MOST_TASKS} tasks")
     found: dict[str, Task] = {}
-    for n, line in enumerate(lines, 1):
-        try:
-            value = json.loads(line)
-        except (ValueError, RecursionError):
-            raise InputError(f"{where}: line {n}", line[:40], "a task as JSON") from None
-        task = _task(mapping(value, f"{where}: line {n}"), f"{where}: line {n}")
+    for n, value in enumerate(read_json_lines(path, "file of tasks"), 1):
+        where = f"--tasks {path}: line {n}"
+        task = _task(value, where)
         if task.name in found:
-            raise InputError(f"{where}: line {n}", f"task {task.name} again", "each task once")
+            raise InputError(where, f"task {task.name} again", "each task once")
         found[task.name] = task
+        if n > MOST_TASKS:
+            break
+    if not 0 < len(found) <= MOST_TASKS:
+        raise InputError("--tasks", f"{len(found)} lines", f"1 to {MOST_TASKS} tasks")
     return found
 
 
@@ -241,15 +228,12 @@ def play(task: Task, physics: str, state: str = "known") -> tuple[Plan, bool]:
 @cache
 def _cameras(seed: int) -> tuple[tuple[DepthCamera, ...], tuple[tuple[float, ...], ...]]:
     """Two cameras that were calibrated, and by how much each truly is elsewhere."""
-    devices = off_cameras(seed, RIG)
-    found, _ = calibration(devices, RIG, seed=seed)
-    off = tuple(
-        tuple(step_between(np.array(one.pose), np.array(device.camera.pose)).tolist())
-        for one, device in zip(found, devices, strict=True)
-    )
+    found = calibration(seed, RIG)
     shift = np.array([MIDDLE, 0, 0, 0, 0, 0, 0])
-    moved = (replace(one, pose=tuple((np.array(one.pose) + shift).tolist())) for one in found)
-    return tuple(moved), off
+    moved = (
+        replace(one, pose=tuple((np.array(one.pose) + shift).tolist())) for one in found.cameras
+    )
+    return tuple(moved), found.off
 
 
 def _in_place(plan: Plan) -> bool:

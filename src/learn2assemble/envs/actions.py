@@ -12,7 +12,6 @@ from learn2assemble.tasks.graph.features import Graph, empty_graph, graph_row, n
 from learn2assemble.tasks.graph.placements import distinct_placements
 from learn2assemble.tasks.physics.support import STABLE, UNDECIDED, classify_cube
 from learn2assemble.tasks.simulator import (
-    Rules,
     Simulator,
     StepArrays,
     WorldTransition,
@@ -20,7 +19,7 @@ from learn2assemble.tasks.simulator import (
     step_arrays,
 )
 from learn2assemble.tasks.task import Task
-from learn2assemble.tasks.world.rules import target_cell
+from learn2assemble.tasks.world.rules import Rules, target_cell
 from learn2assemble.tasks.world.state import State
 
 

@@ -50,19 +50,6 @@ def check_own(folder: Path) -> None:
             raise InputError("folder", f"{folder}, with another {found}", expected)
 
 
-def make_folder(folder: Path) -> None:
-    """A folder that is there from now on.
-
-    Raises:
-        InputError: where it cannot be made.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = error.strerror or type(error).__name__
-        raise InputError("folder", str(folder), f"one that can be made ({reason})") from None
-
-
 def read_beside(plan: Path, arms: int) -> tuple[tuple[BuildRecord, ...], Assembly | None]:
     """The motions of so many arms, where all of them are there, and the blocks beside a plan."""
     records: tuple[BuildRecord, ...] = ()

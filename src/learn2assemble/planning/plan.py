@@ -15,11 +15,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from learn2assemble.errors import InputError, as_both
-from learn2assemble.files import MAX_GENERATED, as_path, read_text, write_file
+from learn2assemble.files import MAX_GENERATED, as_path, make_folder, read_text, write_file
 from learn2assemble.planning.folder import (
     FORMAT,
     check_own,
-    make_folder,
     read_beside,
     write_records,
 )
@@ -445,7 +444,7 @@ class Plan:
         check_own(folder := as_path(folder, "folder"))
         said = self._with_fault(progress)
         said = dataclasses.replace(said, reason=said.reason and as_both(said.reason))
-        make_folder(folder)
+        make_folder(folder, "folder")
         files = {"plan": folder / "plan.json"}
         text = json.dumps(said.to_dict(), indent=1, allow_nan=False) + "\n"
         write_file(files["plan"], text, "plan")

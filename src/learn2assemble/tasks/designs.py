@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from learn2assemble.assembly.kit import Kit, load_kit
+from learn2assemble.assembly.kit import Kit, load_kit, parts_of
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.planning.tiling.cover.tile import MAX_EXTENT, tile
 from learn2assemble.planning.tiling.world import LatticeSite, LatticeWorld, make_site
@@ -291,8 +291,8 @@ FAMILIES: dict[str, Family] = {
     "rings": _rings,
     "figures": _figures,
 }
-_DRAWINGS = 12
-"""Drawings of one family and size before another is drawn."""
+_TRIES, _DRAWINGS = 100, 12
+"""Families and sizes that are tried, and drawings of each."""
 HELD_OUT = ("letters", "round-arches", "towers", "rings", "figures")
 """Families no agent is trained on."""
 TRAINED = tuple(name for name in FAMILIES if name not in HELD_OUT)
@@ -331,7 +331,7 @@ def draw(family: str, rng: np.random.Generator, size: float, carried: bool) -> C
     cells = cells[:, :, int(np.flatnonzero(cells.any((0, 1)))[0]) :]
     if rng.random() < 0.5:
         cells = cells.swapaxes(0, 1)
-    cells = _hanging_together(cells)
+    cells = grounded(cells)
     if carried:
         cells = np.logical_and.accumulate(cells, 2)
     used = [np.flatnonzero(cells.any(tuple(a for a in range(3) if a != k))) for k in range(3)]
@@ -339,18 +339,9 @@ def draw(family: str, rng: np.random.Generator, size: float, carried: bool) -> C
     return np.ascontiguousarray(cells) if max(cells.shape) <= MAX_EXTENT else None
 
 
-def _hanging_together(cells: Cells) -> Cells:
+def grounded(cells: Cells) -> Cells:
     """What hangs together by faces with the lowest level."""
-    kept = np.zeros_like(cells)
-    kept[:, :, 0] = cells[:, :, 0]
-    count = -1
-    while count != (count := int(kept.sum())):
-        for axis in range(3):
-            low, high = [slice(None)] * 3, [slice(None)] * 3
-            low[axis], high[axis] = slice(None, -1), slice(1, None)
-            kept[tuple(high)] |= kept[tuple(low)] & cells[tuple(high)]
-            kept[tuple(low)] |= kept[tuple(high)] & cells[tuple(low)]
-    return kept
+    return np.any([part for part in parts_of(cells) if part[:, :, 0].any()], 0)
 
 
 def solve(wanted: Cells, kit: Kit, seconds: float = 60.0) -> tuple[LatticeSite, list[int]] | None:
@@ -404,11 +395,8 @@ def with_exact_heap(solved: Solved) -> Solved:
     return replace(solved, site=site)
 
 
-def make_design(task: DesignTask, rng: np.random.Generator, tries: int = 100) -> Solved:
+def make_design(task: DesignTask, rng: np.random.Generator) -> Solved:
     """A random design of a task with its solution: family and number of blocks are uniform.
-
-    Args:
-        tries: families and sizes that are tried, each with a few drawings.
 
     Raises:
         InputError: where the task asks for what its families and kit do not give.
@@ -422,7 +410,7 @@ def make_design(task: DesignTask, rng: np.random.Generator, tries: int = 100) ->
     def fits(blocks: int, goal: float) -> bool:
         return low <= blocks <= high and 0.7 < blocks / goal < 1.4
 
-    for _ in range(tries):
+    for _ in range(_TRIES):
         family, goal = str(rng.choice(families)), float(rng.uniform(low, high))
         size = (goal * (1.3 if carried else 5.0)) ** 0.5
         for _ in range(_DRAWINGS):

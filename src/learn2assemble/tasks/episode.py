@@ -49,9 +49,6 @@ def sample_problem(task: Task, seed: int) -> State:
     return Simulator(task).new(1, np.random.default_rng([PROBLEM_STREAM, seed]))
 
 
-# ---------------------------------------------------------------- planning
-
-
 # ---------------------------------------------------------------- carrying out
 
 

@@ -172,25 +172,6 @@ def _arch(d: _Draft, deep: bool) -> None:
     d.heap(b1=8, b2=8, b3=8, b4=d.pick(0, 6))
 
 
-def _scatter(d: _Draft, deep: bool) -> None:
-    """Any goals and obstacles anywhere; only trained on."""
-    x, y, z = d.shape
-    for _ in range(d.pick(0, 3)):
-        a, b = d.pick(0, x - 2), d.pick(0, y - 1)
-        size = d.pick(1, 5), d.pick(1, y), d.pick(1, 3)
-        d.block((a, b, 0), (min(a + size[0], x), min(b + size[1], y), size[2]))
-    for _ in range(d.pick(1, 3)):
-        at = d.pick(1, x - 2), d.pick(0, y - 1), d.pick(0, z - 3)
-        kind = d.pick(0, 3)
-        if kind == 0:
-            d.occupy(at, (min(at[0] + d.pick(1, 4), x), at[1] + 1, at[2] + 1))
-        else:
-            d.reach(*at, d.rng.uniform(0.1, 1.0) if kind == 1 else 0.0)
-    if d.rng.random() < 0.6:
-        names = d.rng.permutation(["b1", "b2", "b3", "b4", "b5", "b6", "b8"])[: d.pick(2, 5)]
-        d.heap(**{str(name): d.pick(2, 6) for name in names})
-
-
 FAMILIES: dict[str, Family] = {
     "bridge": _bridge,
     "corbel": _corbel,
@@ -200,7 +181,6 @@ FAMILIES: dict[str, Family] = {
     "joined": _joined,
     "stairs": _stairs,
     "arch": _arch,
-    "scatter": _scatter,
 }
 PLANAR, SPATIAL = "planar", "spatial"
 

@@ -24,11 +24,10 @@ from learn2assemble.tasks.physics.static import (
 )
 from learn2assemble.tasks.physics.support import STABLE, UNDECIDED
 from learn2assemble.tasks.task import MAX_VERTICES, Task, get_task
-from learn2assemble.tasks.world.blocks import ActionSpec, Inventory, inventory
+from learn2assemble.tasks.world.blocks import ActionSpec, inventory
 from learn2assemble.tasks.world.coverage import FILTERS, DepthFilter
 from learn2assemble.tasks.world.layouts import (
     Problems,
-    Waiting,
     sample_problem,
     side_frames,
     waiting_places,
@@ -36,6 +35,7 @@ from learn2assemble.tasks.world.layouts import (
 from learn2assemble.tasks.world.outcomes import Outcomes, outcomes
 from learn2assemble.tasks.world.rules import (
     REWARDS,
+    Rules,
     count_row,
     cover_block,
     last_object,
@@ -73,11 +73,6 @@ class StepArrays(NamedTuple):
     """int8[B]."""
     rows: np.ndarray
     """int64[3, B]: plane-filtered cover before; rows still to be judged; rows that were."""
-
-
-Rules = tuple[ActionSpec, bool, bool, np.ndarray, DepthFilter, int, float]
-"""What :func:`advance` is told besides the state: actions, whether blocks are cubes and compiled
-rules decide, frames, filter, reward, threshold."""
 
 
 def step_arrays(batch: int) -> StepArrays:
@@ -173,17 +168,11 @@ def advance(state: State, actions: np.ndarray, rules: Rules, arrays: StepArrays)
 
 @kernel
 def _reset_rows(
-    state: State,
-    rows: np.ndarray,
-    rng: np.random.Generator,
-    frames: np.ndarray,
-    stock: Inventory,
-    waiting: Waiting,
-    problems: Problems,
+    state: State, rows: np.ndarray, rng: np.random.Generator, problems: Problems
 ) -> int:
     draws = 0
     for n in range(len(rows)):
-        d = sample_problem(state, rows[n], rng, frames, stock, waiting, problems)
+        d = sample_problem(state, rows[n], rng, problems)
         if d == 0:
             return -1
         draws += d
@@ -210,9 +199,10 @@ class Simulator:
         self.frames: np.ndarray = side_frames(task.num_sides, task.pitch, task.aisle)
         self.depths: DepthFilter = FILTERS[task.cover_filter]
         self.action_spec: ActionSpec = task.action_spec
-        self._stock = inventory(task.objects)
-        self._waiting = waiting_places(task.layout, task.max_blocks)
         self._problems = Problems(
+            self.frames,
+            inventory(task.objects),
+            waiting_places(task.layout, task.max_blocks),
             task.grid,
             task.num_nodes,
             task.min_mask_pixels,
@@ -246,15 +236,7 @@ class Simulator:
         """
         if not len(rows):
             return 0
-        draws = _reset_rows(
-            state,
-            np.asarray(rows, np.int64),
-            rng,
-            self.frames,
-            self._stock,
-            self._waiting,
-            self._problems,
-        )
+        draws = _reset_rows(state, np.asarray(rows, np.int64), rng, self._problems)
         if draws < 0:
             name = self.task.name
             raise Learn2AssembleError(f"task {name}: no acceptable target in 100,000 draws")
@@ -307,16 +289,7 @@ class Simulator:
         paper's agent does not have.
         """
         actions = (placements.action - node_offset(graph)[:, None]) * placements.used[..., None]
-        found = outcomes(
-            state,
-            actions,
-            placements.count,
-            self.action_spec,
-            self.frames,
-            self.task.reward,
-            self.task.success_threshold,
-            self.depths,
-        )
+        found = outcomes(state, actions, placements.count, self.rules)
         if self.task.has_arm and not without_arm:
             undecided = found.valid.copy()
             for field in found:

@@ -39,7 +39,6 @@ _AGENT = arg("--agent", default="builder-s0", help="shipped builder or .safetens
     arg("--name", default="agent", help="of the builder"),
     arg("--teacher", default="exact", help="exact planner, or own search: no demonstrations"),
     arg("--seconds", type=positive, default=1200.0, help="of processor time"),
-    learns=True,
 )
 def _train(options: argparse.Namespace, output: Output) -> None:
     from l2a_lab.builder.network import save_builder
@@ -80,7 +79,6 @@ def _train(options: argparse.Namespace, output: Output) -> None:
     arg("--large", type=count, default=20, help="designs of 200 to 400 blocks"),
     arg("--exact", type=count, default=40, help="of a set, for both planners"),
     arg("--examples", type=named, default=None, help="folder of the examples"),
-    learns=True,
 )
 def _measure(options: argparse.Namespace, output: Output) -> None:
     """``builders.json``: what builders build, with search and alone, beside rules."""
@@ -133,7 +131,6 @@ def _measure(options: argparse.Namespace, output: Output) -> None:
     arg("--gripper", type=natural, default=200, help="designs built with fingers"),
     arg("--prior", type=count, default=50, help="designs of four planners"),
     arg("--limit", type=positive, default=60.0, help="of one of them [s, processor]"),
-    learns=True,
 )
 def _measure_arm(options: argparse.Namespace, output: Output) -> None:
     """``builder_arm.json``: builds with an arm, and whether the builder helps the exact planner."""

@@ -20,6 +20,9 @@ import numpy as np
 from l2a_lab.builder.network import Builder
 from l2a_lab.builder.planner import plan_with_agent
 from l2a_lab.builder.search import BUDGET, RULES, Score, build
+from l2a_lab.builds import DESIGNS, FALLS
+from l2a_lab.measured import table_lines
+from l2a_lab.shapes import letter
 from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.read import read_design
@@ -116,16 +119,13 @@ def complete_told(sets: dict[str, Any]) -> list[str]:
     of the documents; and how many blocks for one of the known solution they take with search."""
     some = [name for name in sets if name.startswith("bricks-lintels, up to")]
     heads = ("any number: with search", "alone", "tight heap: with search", "alone")
-    told = [
-        f"| complete | {' | '.join(heads)} | blocks |",
-        "| --- |" + " ---: |" * (len(heads) + 1),
-    ]
+    rows: list[list[str]] = []
     for player in sets[some[0]]["players"]:
         played = [sets[name]["players"][player] for name in some]
         shares = [f"{100 * one[how]['complete']:.4g} %" for one in played for how in BUDGETS]
         blocks = played[0]["with search"]["blocks_per_block_of_exact"]
-        told.append(f"| {player} | {' | '.join(shares)} | {blocks:.2f} |")
-    return told
+        rows.append([player, *shares, f"{blocks:.2f}"])
+    return table_lines(["complete", *heads, "blocks"], rows)
 
 
 def _play(
@@ -195,16 +195,6 @@ def _time_planners(
 # ---------------------------------------------------------------- examples and hand-drawn designs
 
 
-EIGHT = (
-    "arch_pair",
-    "gabled_house",
-    "keep",
-    "leaning_parallelogram",
-    "pavilion",
-    "pyramid",
-    "skyline",
-    "stepped_tower",
-)
 _DRAWN = {
     "bridge": "##########/##########/##......##/##......##",
     "bridge, two spans": "############/#....##....#/#....##....#",
@@ -220,7 +210,7 @@ _DRAWN = {
 def example_designs(folder: Path) -> dict[str, tuple[np.ndarray, Kit]]:
     """The eight buildable examples, and hand-drawn designs: cells and kit by name."""
     found: dict[str, tuple[np.ndarray, Kit]] = {}
-    files = [f"{name}.json" for name in EIGHT]
+    files = sorted({*DESIGNS, FALLS} - {"gate.svg"})
     files += ["h.svg", "t.svg", "gate.svg", "circle.svg", "two_towers.svg", "arch.svg"]
     for file in files:
         design = read_design(folder / file)
@@ -228,11 +218,10 @@ def example_designs(folder: Path) -> dict[str, tuple[np.ndarray, Kit]]:
         name = file.partition(".")[0]
         found[name] = design.wanted, load_kit(design.kit or "bricks-lintels")
     for name, rows in _DRAWN.items():
-        picture = np.array([[c == "#" for c in row] for row in rows.split("/")])[::-1].T
-        found[name] = picture[:, None, :], load_kit("bricks-lintels")
-    for letter in "AHILOPTUYE":
-        picture = draw_letter(letter, 5, 2, 2, 1)
-        found[f"letter {letter}"] = picture[:, None, :], load_kit("bricks-lintels")
+        found[name] = letter(rows, 1), load_kit("bricks-lintels")
+    for one in "AHILOPTUYE":
+        picture = draw_letter(one, 5, 2, 2, 1)
+        found[f"letter {one}"] = picture[:, None, :], load_kit("bricks-lintels")
     return found
 
 

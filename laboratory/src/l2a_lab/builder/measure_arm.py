@@ -104,10 +104,6 @@ def measure_arm(
     return found
 
 
-def _cells(wanted: np.ndarray, kit: Kit) -> CellDesign:
-    return CellDesign("design", wanted, kit.pitch, None, 0.0, None, "", None)
-
-
 def _built(design: Solved, workcell: Workcell, builder: str) -> dict[str, Any]:
     """One design of a set."""
     hands: list[Hand] = []
@@ -116,7 +112,7 @@ def _built(design: Solved, workcell: Workcell, builder: str) -> dict[str, Any]:
     def plan_with(kit: Kit, hand: Hand) -> Plan:
         hands.append(hand)
         return plan_cells(
-            _cells(design.site.wanted, design.kit),
+            CellDesign("design", design.site.wanted, design.kit.pitch),
             kit,
             planner=PlannerChoice("agent", builder, hand=hand),
             seconds=INF,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,9 +18,6 @@ from learn2assemble.planning.tiling.ordering import Ordering, order
 from learn2assemble.planning.tiling.planners import PlanLimits, PlannerChoice
 from learn2assemble.planning.tiling.world import LatticeWorld, make_site, run
 
-if TYPE_CHECKING:
-    pass
-
 MAX_CANDIDATES = 1_000_000
 """Cells times ways to put down a block: what the builder keeps grows with it."""
 _SET_UP = 3.0
@@ -33,7 +29,6 @@ def plan_with_agent(
     kit: Kit,
     limits: PlanLimits,
     choice: PlannerChoice,
-    budget: int = BUDGET,
 ) -> tuple[Tiling, Ordering, SearchReport, str]:
     """Blocks of ``kit`` that fill ``wanted``, chosen by the builder, every state proven again.
 
@@ -43,7 +38,6 @@ def plan_with_agent(
             filled by nothing that stands by itself, else in a second search, with a budget of its
             own, where the first finds no way without.
         choice: its agent is a builder, or the name or file of one; the default one without it.
-        budget: see :mod:`.search`.
 
     Returns:
         as :func:`learn2assemble.planning.tiling.exact.plan_exact`, of what was built where not all
@@ -59,18 +53,16 @@ def plan_with_agent(
     props = props and hand is None
     if props and len(LatticeWorld(site).stranded()):
         site = make_site(wanted, kit, props)
-    outcome = build(site, agent, budget=budget, seed=seed, seconds=seconds)
+    outcome = build(site, agent, seed=seed, seconds=seconds)
     expanded, first = outcome.expanded, outcome.world
     if props and not site.props and not outcome.complete:
-        again = build(
-            make_site(wanted, kit, props), agent, budget=budget, seed=seed, seconds=clock.left
-        )
+        again = build(make_site(wanted, kit, props), agent, seed=seed, seconds=clock.left)
         expanded += again.expanded
         outcome, site = (again, again.world.site) if again.complete else (outcome, site)
     if hand is not None and outcome.complete:
         outcome = None
         for turn in range(4 if hand.workcell.site.base is None else 1):
-            left = budget - expanded / len(first.placed)
+            left = BUDGET - expanded / len(first.placed)
             if turn and left <= 1:
                 break
             try:
@@ -116,7 +108,7 @@ def plan_with_agent(
     if hand is not None:
         text += f"; {hand.tried} placements tried by the arm, {hand.failed} of them failed"
     report = SearchReport(
-        "agent with search", budget, (SearchStage("agent with search", text, round(spent, 3)),)
+        "agent with search", BUDGET, (SearchStage("agent with search", text, round(spent, 3)),)
     )
     return tiling, ordering, report, agent.name
 

@@ -96,14 +96,14 @@ class SearchOutcome:
         return self.world.complete
 
 
-def window(world: LatticeWorld, legal: np.ndarray, size: int = WINDOW) -> np.ndarray:
-    """The ``size`` lowest of legal candidates; on a level, the nearest to the last block."""
-    if len(legal) <= size:
+def window(world: LatticeWorld, legal: np.ndarray) -> np.ndarray:
+    """The :data:`WINDOW` lowest of legal candidates; on a level, the nearest to the last block."""
+    if len(legal) <= WINDOW:
         return legal
     origin = world.site.found.origin
     last = origin[world.placed[-1]] if world.placed else np.zeros(3, np.int64)
     near = np.abs(origin[legal, :2] - last[:2]).sum(1)
-    return legal[np.lexsort((near, origin[legal, 2]))[:size]]
+    return legal[np.lexsort((near, origin[legal, 2]))[:WINDOW]]
 
 
 class _BuilderSearch:

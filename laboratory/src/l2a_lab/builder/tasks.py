@@ -20,7 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from l2a_lab.builder.network import MAX_LOGIT, Builder
-from learn2assemble.assembly.kit import Kind, Kit, turned_cells
+from l2a_lab.object_bounds import turns_of
+from learn2assemble.assembly.kit import Kind, Kit
 from learn2assemble.constants import EDGE, HALF
 from learn2assemble.errors import InputError
 from learn2assemble.planning.tiling.world import LatticeSite, LatticeWorld, make_site
@@ -78,12 +79,6 @@ def _lattice(position: np.ndarray) -> np.ndarray:
     return np.rint(position / EDGE - [0, 0, 0.5]).astype(np.int64)
 
 
-def _shape(cells: np.ndarray) -> tuple[tuple[int, int, int], ...]:
-    """Cells of an object, the same for all its quarter turns."""
-    given = tuple((int(x), int(y), int(z)) for x, y, z in cells)
-    return min(turned_cells(given, turn) for turn in range(4))
-
-
 def _objects(state: State, row: int, blocks: int) -> tuple[np.ndarray, np.ndarray]:
     """Objects among the first blocks of a row, the placed ones first: their blocks, int64[O, m]
     with the last one repeated, and how many they are, int64[O]."""
@@ -98,7 +93,9 @@ def make_problem(simulator: Simulator, state: State, row: int) -> Problem:
     pixels, columns = cell_pixels(), EDGE * np.arange(-MAX_COLUMN, MAX_COLUMN + 1)
     at = _lattice(state.position[row])
     objects, count = _objects(state, row, int(state.num_blocks[row]))
-    kinds = Counter(_shape(at[blocks[:n]]) for blocks, n in zip(objects, count, strict=True))
+    kinds = Counter(
+        min(turns_of(at[blocks[:n]], 4)) for blocks, n in zip(objects, count, strict=True)
+    )
     start = state.take(np.array([row]))
     start.num_placed[:] = count[0]
     recover_all(start, 0, simulator.frames, simulator.depths)

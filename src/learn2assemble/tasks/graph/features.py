@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from learn2assemble.constants import HALF
 from learn2assemble.kernels import kernel
-from learn2assemble.tasks.world.rules import observe_row
 from learn2assemble.tasks.world.state import State
 
 NUM_FEATURES = 5
@@ -38,18 +38,41 @@ def graph_row(
     state: State,
     row: int,
     frames: np.ndarray,
-    nodes: np.ndarray,
-    object_id: np.ndarray,
+    all_nodes: np.ndarray,
+    all_ids: np.ndarray,
     counts: np.ndarray,
 ) -> None:
-    """Write the graph of one row into arrays of all rows.
+    """Write the graph of one row into arrays of all rows, see :class:`Graph`.
 
     Args:
         counts: int64[3, B]: targets, placed blocks, nodes.
     """
-    counts[0, row] = state.num_vertices[row].sum()
-    counts[1, row] = state.num_placed[row]
-    counts[2, row] = observe_row(state, row, frames, nodes[row], object_id[row])
+    nodes, object_id = all_nodes[row], all_ids[row]
+    n = 0
+    for side in range(frames.shape[0]):
+        c, s, tx, ty = frames[side, 0], frames[side, 1], frames[side, 2], frames[side, 3]
+        for k in range(state.num_vertices[row, side]):
+            x, y = state.vertices[row, side, k, 0], -HALF
+            nodes[n, 0] = c * x - s * y + tx
+            nodes[n, 1] = s * x + c * y + ty
+            nodes[n, 2] = state.vertices[row, side, k, 1]
+            nodes[n, 3] = 1.0
+            nodes[n, 4] = 1.0
+            object_id[n] = -1 - side
+            n += 1
+    placed = state.num_placed[row]
+    counts[0, row], counts[1, row], counts[2, row] = n, placed, n + state.num_blocks[row]
+    for k in range(state.num_blocks[row]):
+        for axis in range(3):
+            nodes[n, axis] = state.position[row, k, axis]
+        nodes[n, 3] = 1.0 if k < placed else -1.0
+        nodes[n, 4] = -1.0
+        object_id[n] = state.object_id[row, k]
+        n += 1
+    for k in range(n, nodes.shape[0]):
+        for f in range(nodes.shape[1]):
+            nodes[k, f] = np.float32(0)
+        object_id[k] = -1
 
 
 @kernel

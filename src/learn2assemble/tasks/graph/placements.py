@@ -261,21 +261,10 @@ def _enter_cell(
 
 
 @kernel
-def _enumerate(
-    nodes: np.ndarray,
-    object_id: np.ndarray,
-    num_targets: np.ndarray,
-    num_placed: np.ndarray,
-    num_nodes: np.ndarray,
-    spec: ActionSpec,
-    out_cells: np.ndarray,
-    num_cells: np.ndarray,
-    out_action: np.ndarray,
-    out_members: np.ndarray,
-    count: np.ndarray,
-    out_key: np.ndarray,
-) -> bool:
+def _enumerate(graph: Graph, spec: ActionSpec, out: Placements) -> bool:
     """Write all rows; returns False where the arrays are too small."""
+    nodes, object_id, num_targets, num_placed, num_nodes = graph
+    out_cells, num_cells, out_action, out_members, count, out_key = out
     slots = 4 * out_action.shape[1]
     tables = np.empty((3, slots), np.int64)
     stamps = np.full((3, slots), -1, np.int64)
@@ -374,15 +363,7 @@ def distinct_placements(graph: Graph, spec: ActionSpec) -> Placements:
             np.zeros(batch, np.int64),
             np.empty((batch, capacity), np.uint64),
         )
-        if _enumerate(
-            graph.nodes,
-            graph.object_id,
-            graph.num_targets,
-            graph.num_placed,
-            graph.num_nodes,
-            spec,
-            *out,
-        ):
+        if _enumerate(graph, spec, out):
             break
         capacity *= 2
     most_cells, most = max(1, int(out.num_cells.max())), max(1, int(out.count.max()))
@@ -400,17 +381,14 @@ def distinct_placements(graph: Graph, spec: ActionSpec) -> Placements:
 
 @kernel
 def _locate(
-    nodes: np.ndarray,
-    object_id: np.ndarray,
-    num_targets: np.ndarray,
-    num_placed: np.ndarray,
-    num_nodes: np.ndarray,
+    graph: Graph,
     spec: ActionSpec,
     action: np.ndarray,
     count: np.ndarray,
     keys: np.ndarray,
     out: np.ndarray,
 ) -> None:
+    nodes, object_id, num_targets, num_placed, num_nodes = graph
     offsets = np.empty((MAX_CELLS, 3))
     cells = np.empty((MAX_CELLS, 3))
     for row in range(len(action)):
@@ -437,16 +415,5 @@ def locate(
     -1 where none has it.
     """
     out = np.full(len(action), -1, np.int64)
-    _locate(
-        graph.nodes,
-        graph.object_id,
-        graph.num_targets,
-        graph.num_placed,
-        graph.num_nodes,
-        spec,
-        action,
-        placements.count,
-        placements.key,
-        out,
-    )
+    _locate(graph, spec, action, placements.count, placements.key, out)
     return out

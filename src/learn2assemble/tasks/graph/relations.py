@@ -84,21 +84,17 @@ def offset_number(right: float, out: float, up: float, pitch: float) -> int:
 
 @kernel
 def _relate(
-    nodes: np.ndarray,
-    object_id: np.ndarray,
-    num_targets: np.ndarray,
-    num_placed: np.ndarray,
+    graph: Graph,
     cells: np.ndarray,
     num_cells: np.ndarray,
-    most_edges: int,
     frames: np.ndarray,
     pitch: float,
     sight: float,
-    edges: np.ndarray,
-    edge_used: np.ndarray,
-    offsets: np.ndarray,
-    total_area: np.ndarray,
+    out: Relations,
 ) -> None:
+    nodes, object_id, num_targets, num_placed, _ = graph
+    edges, edge_used, offsets, total_area = out
+    most_edges = edges.shape[3]
     corner = np.empty((most_edges, 2))
     for row in range(len(num_targets)):
         targets, placed = num_targets[row], num_placed[row]
@@ -136,12 +132,12 @@ def _relate(
                 z = cells[row, c, 2]
                 for k in range(last - first):
                     n = (k + 1) % (last - first)
-                    out = edges[row, c, side, k]
-                    _line(corner[k], corner[n], turn, x, z, out)
-                    out[_DEPTH] = _clip(depth, 2.0)
-                    out[_IN_PLANE] = 1.0 if abs(depth) < 0.25 else 0.0
-                    out[_ROOF] = 1.0 if last - first == 5 and (k == 1 or k == 2) else 0.0
-                    out[_HEIGHT] = z / EDGE / 4
+                    edge = edges[row, c, side, k]
+                    _line(corner[k], corner[n], turn, x, z, edge)
+                    edge[_DEPTH] = _clip(depth, 2.0)
+                    edge[_IN_PLANE] = 1.0 if abs(depth) < 0.25 else 0.0
+                    edge[_ROOF] = 1.0 if last - first == 5 and (k == 1 or k == 2) else 0.0
+                    edge[_HEIGHT] = z / EDGE / 4
                 for b in range(placed):
                     node = nodes[row, targets + b]
                     dx, dy = node[0] - cells[row, c, 0], node[1] - cells[row, c, 1]
@@ -166,27 +162,15 @@ def relate(graph: Graph, placements: Placements, pitch: float = EDGE, sight: int
     side = np.where(targets, -1 - graph.object_id, -1)
     sides = int(side.max()) + 1
     most_edges = max(int((side == s).sum(1).max()) for s in range(sides))
-    edges = np.zeros((batch, most, sides, most_edges, EDGE_FEATURES), np.float32)
-    edge_used = np.zeros((batch, sides, most_edges), np.bool_)
-    offsets = np.full((batch, most, sides, int(graph.num_placed.max())), OFFSETS, np.int64)
-    area = np.zeros(batch, np.float32)
-    _relate(
-        graph.nodes,
-        graph.object_id,
-        graph.num_targets,
-        graph.num_placed,
-        placements.cells,
-        placements.num_cells,
-        most_edges,
-        side_frames(sides, pitch),
-        pitch,
-        sight + 0.5 if sight else np.inf,
-        edges,
-        edge_used,
-        offsets,
-        area,
+    out = Relations(
+        np.zeros((batch, most, sides, most_edges, EDGE_FEATURES), np.float32),
+        np.zeros((batch, sides, most_edges), np.bool_),
+        np.full((batch, most, sides, int(graph.num_placed.max())), OFFSETS, np.int64),
+        np.zeros(batch, np.float32),
     )
-    return Relations(edges, edge_used, offsets, area)
+    frames, seen = side_frames(sides, pitch), sight + 0.5 if sight else np.inf
+    _relate(graph, placements.cells, placements.num_cells, frames, pitch, seen, out)
+    return out
 
 
 KINDS = 3
@@ -218,20 +202,10 @@ def _seen(origin: np.ndarray, other: np.ndarray, turns: int, pitch: float) -> in
 
 
 @kernel
-def _look(
-    nodes: np.ndarray,
-    object_id: np.ndarray,
-    num_targets: np.ndarray,
-    num_placed: np.ndarray,
-    num_nodes: np.ndarray,
-    cells: np.ndarray,
-    action: np.ndarray,
-    members: np.ndarray,
-    count: np.ndarray,
-    spec: ActionSpec,
-    around: np.ndarray,
-    place: np.ndarray,
-) -> int:
+def _look(graph: Graph, placements: Placements, spec: ActionSpec, hands: Hands) -> int:
+    nodes, object_id, num_targets, num_placed, num_nodes = graph
+    cells, _, action, members, count, _ = placements
+    around, place = hands
     most = 0
     for row in range(len(count)):
         first = num_targets[row]
@@ -274,17 +248,5 @@ def look_around(graph: Graph, placements: Placements, spec: ActionSpec) -> Hands
         np.full((batch, most, length), AROUND, np.int64),
         np.zeros((batch, most, PLACE_FEATURES), np.float32),
     )
-    used = _look(
-        graph.nodes,
-        graph.object_id,
-        graph.num_targets,
-        graph.num_placed,
-        graph.num_nodes,
-        placements.cells,
-        placements.action,
-        placements.members,
-        placements.count,
-        spec,
-        *out,
-    )
+    used = _look(graph, placements, spec, out)
     return out._replace(around=out.around[..., :used])

@@ -22,7 +22,6 @@ LARGEST = {
     "num_envs": 10**5,
     "batch_size": 10**5,
     "replay_size": 10**7,
-    "steps": 1000,
     "steps_per_round": 10**6,
     "updates_per_round": 10**6,
     "search_budget": 10**5,
@@ -32,6 +31,10 @@ LARGEST = {
     "target_period": 10**12,
 }
 """Whole numbers from 1; beyond these no training would fit into any machine's memory or time."""
+
+
+_ONCE = (("steps", 1), ("target_rate", 0.0))
+"""What agents were trained with when these were settings; all others are refused."""
 
 
 @dataclass(frozen=True)
@@ -55,10 +58,6 @@ class TrainConfig:
         epsilon_final: exploration rate in the end; it starts at 1.
         epsilon_samples: steps until then, linearly.
         target_period: gradient steps between two copies to the target network.
-        steps: n of n-step targets; they end before the first exploratory action.
-        target_rate: where positive, the target network follows the online one by this share after
-            every gradient step instead of being copied, and the agent is the target network: an
-            average of the recent weights.
         double: choose the next action by the online network, value it by the target network.
         dense_weight: weight of the loss that fits the reward part of Q, and Q itself where the
             episode would end, to the one-step model's outcome of *every* placement of a sampled
@@ -86,8 +85,6 @@ class TrainConfig:
     epsilon_final: float = 0.05
     epsilon_samples: int = 40_000
     target_period: int = 300
-    steps: int = 1
-    target_rate: float = 0.0
     double: bool = True
     dense_weight: float = 0.0
     augment: bool = False
@@ -112,20 +109,12 @@ class TrainConfig:
                 (name, 0 < getattr(self, name) < 1, "a rate between 0 and 1")
                 for name in ("learning_rate", "final_learning_rate")
             ),
-            *(
-                (name, 0 <= getattr(self, name) <= 1, "a share between 0 and 1")
-                for name in ("target_rate", "search_weight")
-            ),
+            ("search_weight", 0 <= self.search_weight <= 1, "a share between 0 and 1"),
             ("epsilon_final", 0 <= self.epsilon_final <= 1, "0 <= epsilon <= 1"),
             ("dense_weight", 0 <= self.dense_weight < math.inf, "a weight of at least 0"),
             ("dense_weight", relational or not self.dense_weight, "0 unless encoder is relational"),
             ("augment", not (self.augment and relational), f"false for the encoder {encoder}"),
         )
-
-    @property
-    def searches(self) -> bool:
-        """Whether a search chooses the actions of training."""
-        return METHODS[self.method].search is not None
 
     def to_dict(self) -> dict[str, Any]:
         return dataclasses.asdict(self)
@@ -133,7 +122,7 @@ class TrainConfig:
     @staticmethod
     def from_dict(values: dict[str, Any]) -> TrainConfig:
         """Inverse of :meth:`to_dict`; unknown keys raise :class:`UnknownNameError`."""
-        values = dict(values)
+        values = {k: v for k, v in values.items() if (k, v) not in _ONCE}
         network = dict(values.pop("network", {}))
         for kind, given in ((TrainConfig, values), (NetworkConfig, network)):
             for key in given:

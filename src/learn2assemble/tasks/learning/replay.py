@@ -35,14 +35,12 @@ class Batch(NamedTuple):
     action: np.ndarray
     """int64[B, 3]: node indices of block and reference, relative action."""
     reward: np.ndarray
-    """float32[B]: discounted over the steps up to ``next_graph`` (one, unless n-step)."""
+    """float32[B]."""
     terminal: np.ndarray
     """bool[B]: nothing follows."""
     next_graph: Graph
     discount: np.ndarray
-    """float32[B]: of what follows ``next_graph``; gamma to the number of steps."""
-    greedy: np.ndarray
-    """bool[B]: the action was the network's own choice, not exploration."""
+    """float32[B]: gamma, of what follows ``next_graph``."""
     outcomes: Outcomes | None = None
     """Outcome of every distinct placement of ``graph``, in the order of
     :func:`learn2assemble.tasks.graph.placements.distinct_placements`; ``None`` where not used."""
@@ -55,24 +53,21 @@ class Replay:
 
     Args:
         num_nodes: N, nodes of a graph.
-        worlds: transitions of one :meth:`add`; the same world follows itself at this distance.
         outcomes: whether transitions carry :class:`Outcomes`.
         explored: E, root actions a search explores at most; 0 for learners without search.
     """
 
     def __init__(
-        self, size: int, num_nodes: int, *, worlds: int, outcomes: bool = False, explored: int = 0
+        self, size: int, num_nodes: int, *, outcomes: bool = False, explored: int = 0
     ) -> None:
         self.size = size
         self.length: int = 0
         self.cursor: int = 0
-        self.worlds = worlds
         columns: dict[str, tuple[Any, ...]] = {
             "action": (np.int64, 3),
             "reward": (np.float32,),
             "terminal": (np.bool_,),
             "discount": (np.float32,),
-            "greedy": (np.bool_,),
         }
         for prefix in ("", "next_"):
             columns[f"{prefix}position"] = np.float32, num_nodes, 3
@@ -104,15 +99,10 @@ class Replay:
         self.cursor = int((self.cursor + count) % self.size)
         self.length = min(self.length + count, self.size)
 
-    def sample(self, count: int, rng: np.random.Generator, steps: int = 1) -> Batch:
-        """``count`` transitions, uniformly with replacement.
-
-        With ``steps`` > 1 each is joined with up to ``steps - 1`` that followed it in its world,
-        as long as these were greedy: exploration must not lower the value of what came before.
-        """
+    def sample(self, count: int, rng: np.random.Generator) -> Batch:
+        """``count`` transitions, uniformly with replacement."""
         rows = rng.integers(0, self.length, count)
         a = self.arrays
-        last, reward, discount = self._follow(rows, steps)
         outcomes = searched = None
         if "outcome.flags" in a:
             values, flags = a["outcome.reward"][rows].astype(np.float32), a["outcome.flags"][rows]
@@ -124,28 +114,13 @@ class Replay:
         return Batch(
             self._graph("", rows),
             a["action"][rows],
-            reward,
-            a["terminal"][last],
-            self._graph("next_", last),
-            discount,
-            a["greedy"][rows],
+            a["reward"][rows],
+            a["terminal"][rows],
+            self._graph("next_", rows),
+            a["discount"][rows],
             outcomes,
             searched,
         )
-
-    def _follow(self, rows: np.ndarray, steps: int) -> tuple[np.ndarray, ...]:
-        """Last joined transition, discounted reward up to it and discount after it."""
-        a, last = self.arrays, rows.copy()
-        reward, discount = a["reward"][rows].copy(), a["discount"][rows].copy()
-        newer = (self.cursor - 1 - rows) % self.size
-        going = np.ones(len(rows), np.bool_)
-        for ahead in range(1, steps):
-            following = (rows + ahead * self.worlds) % self.size
-            going &= ~a["terminal"][last] & (ahead * self.worlds <= newer) & a["greedy"][following]
-            reward += np.where(going, discount * a["reward"][following], 0.0)
-            discount *= np.where(going, a["discount"][following], 1.0)
-            last = np.where(going, following, last)
-        return last, reward, discount
 
     def _graph(self, prefix: str, rows: np.ndarray) -> Graph:
         position = self.arrays[f"{prefix}position"][rows]
@@ -176,7 +151,7 @@ class Replay:
 
 def _columns(batch: Batch) -> dict[str, np.ndarray]:
     """What is kept of transitions, by the names of the arrays."""
-    names = ("action", "reward", "terminal", "discount", "greedy")
+    names = ("action", "reward", "terminal", "discount")
     out = {name: getattr(batch, name) for name in names}
     for prefix, graph in (("", batch.graph), ("next_", batch.next_graph)):
         out[f"{prefix}position"] = graph.nodes[..., :3]

@@ -475,4 +475,4 @@ def _save(trainer: Trainer, out: Path, started_from: dict[str, Any] | None) -> N
         "init": started_from,
         **provenance(trainer.device),
     }
-    save_agent(Agent("agent", trainer.agent_network, trainer.task.name, origin), out)
+    save_agent(Agent("agent", trainer.online, trainer.task.name, origin), out)

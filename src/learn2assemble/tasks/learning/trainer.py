@@ -99,10 +99,7 @@ def q_loss(
 def td_targets(
     online: Network, target: Network, batch: Batch, config: TrainConfig, device: str
 ) -> torch.Tensor:
-    """``y = r + gamma (1 - terminal) max Q_T(s', .)`` over legal actions: float[B].
-
-    For joined steps r is their discounted sum and gamma the discount after them.
-    """
+    """``y = r + gamma (1 - terminal) max Q_T(s', .)`` over legal actions: float[B]."""
     reward = tensor_of(batch.reward).to(device)
     alive = tensor_of(~batch.terminal).to(device)
     discount = tensor_of(batch.discount).to(device)
@@ -150,21 +147,19 @@ def dense_error(
 
 def epsilon_greedy(
     model: WorldModel, state: State, epsilon: float, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Actions int64[B, 3], uniform with probability ``epsilon``, and which are greedy."""
+) -> np.ndarray:
+    """Actions int64[B, 3], uniform with probability ``epsilon``."""
     action = model.random_actions(state, rng)
-    greedy = rng.random(len(action)) >= epsilon
-    rows = np.flatnonzero(greedy)
+    rows = np.flatnonzero(rng.random(len(action)) >= epsilon)
     if len(rows):
         _, action[rows] = model.best(state.take(rows))
-    return action, greedy
+    return action
 
 
 def searching(
     model: WorldModel, state: State, config: SearchConfig, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray, Searched]:
-    """One search for every row: actions int64[B, 3], which of them no draw of epsilon chose, and
-    what the searches found at their roots."""
+) -> tuple[np.ndarray, Searched]:
+    """One search for every row: actions int64[B, 3], and what the searches found at their roots."""
     decisions = search(model, state, config, rng)
     count = len(decisions)
     found = Searched(
@@ -178,8 +173,7 @@ def searching(
         found.count[row] = len(explored)
         for n, (local, value, _) in enumerate(explored):
             found.action[row, n], found.value[row, n] = local + offset[row], value
-    action = np.stack([decision.action for decision in decisions])
-    return action, ~np.array([decision.random for decision in decisions]), found
+    return np.stack([decision.action for decision in decisions]), found
 
 
 TRAINING_STREAM = 1
@@ -224,7 +218,6 @@ class Trainer:
         self.replay: Replay = Replay(
             config.replay_size,
             task.num_nodes,
-            worlds=config.num_envs,
             outcomes=config.dense_weight > 0,
             explored=config.search_budget if self.learner.search else 0,
         )
@@ -269,11 +262,6 @@ class Trainer:
     def finished(self) -> bool:
         return self.samples >= self.config.num_samples
 
-    @property
-    def agent_network(self) -> Network:
-        """The network to keep: the averaged one where there is one."""
-        return self.target if self.config.target_rate else self.online
-
     def round(self) -> None:
         """One phase of collection and one of learning."""
         self.between_rounds = False
@@ -295,9 +283,9 @@ class Trainer:
             outcomes = self.simulator.outcomes(state, graph, placements)
         if self.learner.search is not None:
             how = self.learner.search(self.config.search_budget, self.epsilon)
-            action, greedy, searched = searching(self.model, state, how, self.rng)
+            action, searched = searching(self.model, state, how, self.rng)
         else:
-            action, greedy = epsilon_greedy(self.model, state, self.epsilon, self.rng)
+            action = epsilon_greedy(self.model, state, self.epsilon, self.rng)
         step = self.simulator.step(state, action)
         after = self.simulator.observe(state)
         discount = np.full(len(action), self.task.discount, np.float32)
@@ -309,7 +297,6 @@ class Trainer:
                 step.terminated,
                 after,
                 discount,
-                greedy,
                 outcomes,
                 searched,
             )
@@ -331,7 +318,7 @@ class Trainer:
     def update(self) -> None:
         """One gradient step."""
         config = self.config
-        batch = self.replay.sample(config.batch_size, self.rng, config.steps)
+        batch = self.replay.sample(config.batch_size, self.rng)
         if config.augment:
             batch = random_symmetry(batch, self.task.num_sides, self.rng)
         loss_of = self.learner.loss or q_loss
@@ -340,13 +327,7 @@ class Trainer:
         loss.backward()  # pyright: ignore[reportUnknownMemberType]
         self.optimizer.step()  # pyright: ignore[reportUnknownMemberType]
         self.updates += 1
-        if config.target_rate:
-            with torch.no_grad():
-                for mine, theirs in zip(
-                    self.target.parameters(), self.online.parameters(), strict=True
-                ):
-                    mine.lerp_(theirs, config.target_rate)
-        elif self.updates % config.target_period == 0:
+        if self.updates % config.target_period == 0:
             self.target.load_state_dict(self.online.state_dict())
 
     def metrics(self) -> dict[str, float]:

@@ -170,7 +170,7 @@ def save_agent(agent: Agent, folder: Path) -> Path:
     return file
 
 
-def load_agent(name_or_path: str | Path, device: torch.device | str = "cpu") -> Agent:
+def load_agent(name_or_path: str | Path) -> Agent:
     """An agent by name, or one from a ``.safetensors`` file or a run folder.
 
     Raises:
@@ -198,4 +198,4 @@ def load_agent(name_or_path: str | Path, device: torch.device | str = "cpu") -> 
     except (SafetensorError, OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
         reason = " ".join(str(error).split())
         raise InputError("agent", str(path), f"a trained agent ({reason[:120]})") from None
-    return Agent(name, network.to(device).eval(), task, origin)
+    return Agent(name, network.eval(), task, origin)

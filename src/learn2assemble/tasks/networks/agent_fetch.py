@@ -20,7 +20,7 @@ from urllib.parse import quote, urlsplit
 from urllib.request import urlopen
 
 from learn2assemble.errors import InputError, look_up
-from learn2assemble.files import replacing
+from learn2assemble.files import make_folder, write_file
 
 LIST = "agents.json"
 ENDING = ".safetensors"
@@ -117,7 +117,8 @@ def fetch_agents(
             content = _content(origin, file.name, told.bytes)
             if hashlib.sha256(content).hexdigest() != told.sha256:
                 raise InputError("agent", f"another {file.name} of {origin}", f"the one of {told}")
-            _write(file, content)
+            make_folder(file.parent, PLACE)
+            write_file(file, content, "agent")
             if progress is not None:
                 progress(f"{name}: {len(content) / 1e6:.1f} MB")
         files.append(file)
@@ -136,13 +137,3 @@ def _content(origin: str, name: str, size: int) -> bytes:
         reason = error.reason if isinstance(error, URLError) else error
         words = getattr(reason, "strerror", None) or " ".join(str(reason).split())
         raise InputError("agent", f"{name} of {origin}", f"a file there ({words})") from None
-
-
-def _write(file: Path, content: bytes) -> None:
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        words = error.strerror or "unwritable"
-        raise InputError(PLACE, str(file.parent), f"a writable folder ({words})") from None
-    with replacing(file, "agent") as part:
-        part.write_bytes(content)

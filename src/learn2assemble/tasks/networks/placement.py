@@ -61,12 +61,7 @@ class PlacementNetwork(nn.Module):
         self.config = config
         width = config.width
         self.edge: nn.Linear = nn.Linear(EDGE_FEATURES, width)
-        self.neighbour: nn.EmbeddingBag = nn.EmbeddingBag(
-            OFFSETS + 1, width, mode="sum", padding_idx=OFFSETS
-        )
-        nn.init.normal_(self.neighbour.weight, std=0.1)
-        with torch.no_grad():
-            self.neighbour.weight[OFFSETS] = 0
+        self.neighbour: nn.EmbeddingBag = _table(OFFSETS, width)
         self.side: nn.Module = _two_layers(3 * width, width)
         self.summary: nn.Linear = nn.Linear(NUM_SUMMARY, width)
         self.pools: nn.ModuleList = nn.ModuleList(
@@ -143,12 +138,7 @@ class Hand(nn.Module):
 
     def __init__(self, width: int, grips: int) -> None:
         super().__init__()
-        self.around: nn.EmbeddingBag = nn.EmbeddingBag(
-            AROUND + 1, width, mode="sum", padding_idx=AROUND
-        )
-        nn.init.normal_(self.around.weight, std=0.1)
-        with torch.no_grad():
-            self.around.weight[AROUND] = 0
+        self.around: nn.EmbeddingBag = _table(AROUND, width)
         self.place: nn.Linear = nn.Linear(PLACE_FEATURES, width)
         self.grip: nn.Embedding = nn.Embedding(grips, width)
         self.out: nn.Module = _two_layers(width, width)
@@ -159,6 +149,15 @@ class Hand(nn.Module):
         around, place = cells.hands
         place = self.place(place / REACH_OF_ARM)
         return self.out(F.relu(_sums(self.around, around) + place + self.grip(cells.grip)))
+
+
+def _table(numbers: int, width: int) -> nn.EmbeddingBag:
+    """Embeddings of so many numbers, and of one more, which is 0 and stays so."""
+    table = nn.EmbeddingBag(numbers + 1, width, mode="sum", padding_idx=numbers)
+    nn.init.normal_(table.weight, std=0.1)
+    with torch.no_grad():
+        table.weight[numbers] = 0
+    return table
 
 
 def _two_layers(inputs: int, width: int) -> nn.Module:

@@ -24,10 +24,9 @@ from learn2assemble.tasks.physics.support import (
 from learn2assemble.tasks.world.blocks import DIRECTIONS, ActionSpec
 from learn2assemble.tasks.world.rules import (
     last_object,
-    lay_object,
+    lay_action,
     object_span,
     target_cell,
-    waiting_level,
 )
 from learn2assemble.tasks.world.state import State
 
@@ -137,22 +136,7 @@ def _try_object(
 ) -> tuple[int, int]:
     """Verdict on one placement; its cells follow the placed ones in ``position``: (verdict, n)."""
     placed = state.num_placed[row]
-    relation, way = divmod(action, len(spec.turns))
-    x, y, z = target_cell(state, row, reference, relation, spec.pitch)
-    if spec.level:
-        z += waiting_level(state.position[row, state.num_placed[row] + unplaced, 2])
-    count = placed + lay_object(
-        state,
-        row,
-        unplaced,
-        reference,
-        x,
-        y,
-        z,
-        spec.turns[way],
-        position[placed:],
-        spec.pitch,
-    )
+    count = placed + lay_action(state, row, unplaced, reference, action, spec, position[placed:])
     return classify_object(position, placed, count, HALF), count
 
 

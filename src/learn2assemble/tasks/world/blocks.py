@@ -64,10 +64,6 @@ class ActionSpec(NamedTuple):
         return int(self.grips.max()) + 1
 
 
-Ways = ActionSpec
-"""Its earlier name: without it, numba cannot read the index of what it compiled before."""
-
-
 @lru_cache
 def get_action_spec(
     action_mode: str = "turns", rotations: int = 1, pitch: float = EDGE

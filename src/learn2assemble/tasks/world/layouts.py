@@ -148,8 +148,12 @@ RANDOM_X, RANDOM_Y = (-0.07, 0.28828), (0.15, 0.35)
 
 
 class Problems(NamedTuple):
-    """The distribution problems are drawn from, beside their objects; see :class:`Task`."""
+    """The distribution problems are drawn from; see :class:`Task`."""
 
+    frames: np.ndarray
+    """float64[S, 4] of the sides."""
+    stock: Inventory
+    waiting: Waiting
     grid: int
     num_nodes: int
     min_pixels: int
@@ -268,13 +272,12 @@ def scatter(rng: np.random.Generator, position: np.ndarray, apart: float) -> boo
 def _spread(
     position: np.ndarray,
     object_id: np.ndarray,
-    waiting: np.ndarray,
-    apart: float,
-    x: float,
-    y: float,
+    waiting: Waiting,
+    frame: np.ndarray,
     num_blocks: int,
 ) -> int:
-    """First object to (x, y) on the ground, the others to their places; gives its cells."""
+    """First object to the bottom centre of a side, the others to their places; gives its cells."""
+    x, y, apart = frame[2], frame[3], 0.0 if waiting.random else waiting.apart
     placed = 0
     while placed < num_blocks and object_id[placed] == object_id[0]:
         position[placed, 0] += x
@@ -285,7 +288,7 @@ def _spread(
     while start < num_blocks:
         stop = start
         while stop < num_blocks and object_id[stop] == object_id[start]:
-            position[stop] += waiting[number]
+            position[stop] += waiting.position[number]
             stop += 1
         if apart > 0:
             _step_back(position, placed, start, stop, apart)
@@ -314,10 +317,8 @@ def start_objects(
     state.num_placed[row] = _spread(
         state.position[row],
         state.object_id[row],
-        waiting.position,
-        0.0 if waiting.random else waiting.apart,
-        frames[side, 2],
-        frames[side, 3],
+        waiting,
+        frames[side],
         num_blocks,
     )
     first, last = state.mask.shape[2], 0
@@ -337,22 +338,14 @@ def sample_problem(
     state: State,
     row: int,
     rng: np.random.Generator,
-    frames: np.ndarray,
-    stock: Inventory,
-    waiting: Waiting,
     problems: Problems,
 ) -> int:
     """Draw a fresh problem into a row; returns the number of draws, 0 where it gave up.
 
     Shapes and objects are redrawn while the masks hold fewer than ``min_pixels`` pixels or
     the first object covers more than ``max_initial`` of them.
-
-    Args:
-        stock: the :class:`Inventory`.
-        waiting: the :class:`Waiting` places.
-        problems: the :class:`Problems`.
     """
-    sides = frames.shape[0]
+    sides = problems.frames.shape[0]
     for draw in range(1, MAX_DRAWS + 1):
         nodes, pixels = 0, 0
         for side in range(sides):
@@ -369,15 +362,15 @@ def sample_problem(
         state.mask_pixels[row] = pixels
         side, blocks = int(rng.random() * sides), problems.num_nodes - nodes
         position = state.position[row]
-        draw_objects(rng, stock, blocks, position, state.object_id[row], problems.pitch)
-        start_objects(state, row, frames, waiting, side, blocks, problems.depths)
+        draw_objects(rng, problems.stock, blocks, position, state.object_id[row], problems.pitch)
+        start_objects(state, row, problems.frames, problems.waiting, side, blocks, problems.depths)
         if state.initial_pixels[row] > problems.max_initial * pixels:
             continue
         if not problems.normalise:
             state.initial_pixels[row] = 0
-        if waiting.random:
+        if problems.waiting.random:
             first = state.num_placed[row]
-            if not scatter(rng, position[first:blocks], waiting.apart):
+            if not scatter(rng, position[first:blocks], problems.waiting.apart):
                 return 0
         return draw
     return 0

@@ -13,14 +13,11 @@ import numpy as np
 from learn2assemble.constants import HALF
 from learn2assemble.kernels import kernel
 from learn2assemble.tasks.physics.support import STABLE, UNDECIDED, classify_cube, classify_object
-from learn2assemble.tasks.world.blocks import ActionSpec
-from learn2assemble.tasks.world.coverage import NARROW, DepthFilter, add_box, count_cover
+from learn2assemble.tasks.world.coverage import DepthFilter, add_box, count_cover
 from learn2assemble.tasks.world.rules import (
-    REWARDS,
-    lay_object,
+    Rules,
+    lay_action,
     reward_and_success,
-    target_cell,
-    waiting_level,
 )
 from learn2assemble.tasks.world.state import State
 
@@ -92,41 +89,22 @@ def _try_all(
     state: State,
     actions: np.ndarray,
     count: np.ndarray,
-    spec: ActionSpec,
-    frames: np.ndarray,
-    depths: DepthFilter,
-    reward_kind: int,
-    threshold: float,
-    reward: np.ndarray,
-    terminal: np.ndarray,
-    valid: np.ndarray,
-    gain: np.ndarray,
+    rules: Rules,
+    out: Outcomes,
     covered: np.ndarray,
     occluded: np.ndarray,
 ) -> None:
+    spec, _, _, frames, depths, reward_kind, threshold = rules
+    reward, terminal, valid, gain = out
     # The cells of a trial are written behind what stands.
     position = np.empty((state.position.shape[1] + 8, 3))
     for row in range(len(count)):
         placed = state.num_placed[row]
         position[:placed] = state.position[row, :placed]
         for n in range(count[row]):
-            unplaced, reference = actions[row, n, 0], actions[row, n, 1]
-            action: int = actions[row, n, 2]
-            relation, way = divmod(action, len(spec.turns))
-            x, y, z = target_cell(state, row, reference, relation, spec.pitch)
-            if spec.level:
-                z += waiting_level(state.position[row, placed + unplaced, 2])
-            end = placed + lay_object(
-                state,
-                row,
-                unplaced,
-                reference,
-                x,
-                y,
-                z,
-                spec.turns[way],
-                position[placed:],
-                spec.pitch,
+            unplaced, reference, action = actions[row, n]
+            end = placed + lay_action(
+                state, row, unplaced, reference, action, spec, position[placed:]
             )
             verdict = _verdict(position, state.object_id[row], placed, end)
             # What only the program could tell stays zero in all fields.
@@ -155,38 +133,16 @@ def _try_all(
             terminal[row, n] = success or end >= state.num_blocks[row]
 
 
-def outcomes(
-    state: State,
-    actions: np.ndarray,
-    count: np.ndarray,
-    spec: ActionSpec,
-    frames: np.ndarray,
-    reward: str,
-    threshold: float,
-    depths: DepthFilter = NARROW,
-) -> Outcomes:
+def outcomes(state: State, actions: np.ndarray, count: np.ndarray, rules: Rules) -> Outcomes:
     """Try placements of every row by static physics.
 
     Args:
         actions: int64[B, P, 3]: number of the unplaced block, of the reference block, action.
         count: int64[B]: how many of them each row has.
-        spec: what the actions mean.
-        frames: float64[S, 4] of the sides.
-        depths: which depths count as in the plane of a side.
+        rules: of a step; that of cubes is told from the blocks.
     """
     kinds = (np.float32, np.bool_, np.bool_, np.float32)
     out = Outcomes(*[np.zeros(actions.shape[:2], kind) for kind in kinds])
-    _try_all(
-        state,
-        actions,
-        count,
-        spec,
-        frames,
-        depths,
-        REWARDS[reward],
-        threshold,
-        *out,
-        np.empty_like(state.covered[0]),
-        np.empty_like(state.occluded[0]),
-    )
+    covered, occluded = np.empty_like(state.covered[0]), np.empty_like(state.occluded[0])
+    _try_all(state, actions, count, rules, out, covered, occluded)
     return out

@@ -9,7 +9,7 @@ import numpy as np
 
 from learn2assemble.constants import EDGE, HALF
 from learn2assemble.kernels import kernel
-from learn2assemble.tasks.world.blocks import DIRECTIONS, quarter_turn
+from learn2assemble.tasks.world.blocks import DIRECTIONS, ActionSpec, quarter_turn
 from learn2assemble.tasks.world.coverage import (
     NARROW,
     DepthFilter,
@@ -27,6 +27,9 @@ STABILITY = {"block": 0.5, "sum": 1.0, "object": 0.5}
 """Rules by which a simulated placement holds, with their published limits on V [m/s]: of the
 fastest block, of all blocks together (cubes), of the fastest block while objects keep their
 attitude and nothing shifts (objects of several cells)."""
+Rules = tuple[ActionSpec, bool, bool, np.ndarray, DepthFilter, int, float]
+"""What a step is told besides the state: actions, whether blocks are cubes and compiled rules
+decide, frames float64[S, 4] of the sides, filter, reward, threshold."""
 SCALED_GAIN = 3.0
 """c1 of the scaled reward (paper, equation 6 of the appendix)."""
 
@@ -131,6 +134,25 @@ def lay_object(
         cells[n, 0], cells[n, 1], cells[n, 2] = x + dx, y + dy, z + dz
         n += 1
     return n
+
+
+@kernel
+def lay_action(
+    state: State,
+    row: int,
+    unplaced: int,
+    reference: int,
+    action: int,
+    spec: ActionSpec,
+    cells: np.ndarray,
+) -> int:
+    """The same where an action puts it, which counts relation and way."""
+    relation, way = divmod(action, len(spec.turns))
+    x, y, z = target_cell(state, row, reference, relation, spec.pitch)
+    if spec.level:
+        z += waiting_level(state.position[row, state.num_placed[row] + unplaced, 2])
+    turns = spec.turns[way]
+    return lay_object(state, row, unplaced, reference, x, y, z, turns, cells, spec.pitch)
 
 
 @kernel
@@ -275,39 +297,3 @@ def reward_and_end(
     )
     terminated = (not valid) or success or state.num_placed[row] >= state.num_blocks[row]
     return reward, terminated, success
-
-
-@kernel
-def observe_row(
-    state: State, row: int, frames: np.ndarray, nodes: np.ndarray, object_id: np.ndarray
-) -> int:
-    """Write the node features of a row: x, y, z [m], placed flag, target flag.
-
-    Also writes the object number of every node: -1 - s for vertices of side s. Returns the number
-    of nodes.
-    """
-    n = 0
-    for side in range(frames.shape[0]):
-        c, s, tx, ty = frames[side, 0], frames[side, 1], frames[side, 2], frames[side, 3]
-        for k in range(state.num_vertices[row, side]):
-            x, y = state.vertices[row, side, k, 0], -HALF
-            nodes[n, 0] = c * x - s * y + tx
-            nodes[n, 1] = s * x + c * y + ty
-            nodes[n, 2] = state.vertices[row, side, k, 1]
-            nodes[n, 3] = 1.0
-            nodes[n, 4] = 1.0
-            object_id[n] = -1 - side
-            n += 1
-    placed = state.num_placed[row]
-    for k in range(state.num_blocks[row]):
-        for axis in range(3):
-            nodes[n, axis] = state.position[row, k, axis]
-        nodes[n, 3] = 1.0 if k < placed else -1.0
-        nodes[n, 4] = -1.0
-        object_id[n] = state.object_id[row, k]
-        n += 1
-    for k in range(n, nodes.shape[0]):
-        for f in range(nodes.shape[1]):
-            nodes[k, f] = np.float32(0)
-        object_id[k] = -1
-    return n
