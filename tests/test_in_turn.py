@@ -62,6 +62,7 @@ from learn2assemble.team.pressing import (
     AT_ONCE,
     BETWEEN,
     FARTHEST,
+    FIRM,
     NARROWER,
     SHARES,
     TURNS,
@@ -547,3 +548,43 @@ def test_a_block_that_is_off_is_brought_to_its_place_in_small_steps() -> None:
     assert np.abs((where + turn @ hold.in_hand[0] - hold.pose[:3])[:2]).max() < 5e-5
     assert np.abs(turn - meant).max() < 5e-4
     assert springs.most <= AT_ONCE + 1e-12
+
+
+class Felt(PressingHand):
+    """A hand that feels what it is told, and only says where it would go."""
+
+    feels: np.ndarray = np.zeros(3)
+    went: np.ndarray = np.zeros(3)
+
+    def _joints(self) -> np.ndarray:
+        return self.arm.home
+
+    def _felt(self) -> np.ndarray:
+        return self.feels
+
+    def _bent(self, point: np.ndarray, turn: np.ndarray) -> np.ndarray:
+        self.went = point - self._hand()[0]
+        return self.arm.home
+
+    def _keep(self, there: np.ndarray) -> None:
+        """It does not move."""
+
+
+def test_a_hand_that_lets_go_gives_way_but_not_sideways() -> None:
+    arm = get_arm("panda")
+    where, turn = forward(get_chain(arm), arm.home)
+    pose = np.array([*where, *matrix_quaternion(turn)])
+    beside = pose + np.array([0.0, 2e-4, 0.0, 0.0, 0.0, 0.0, 0.0])
+    for way, place, goes in (
+        # Along the joint and up it follows what it feels, level across it comes to its place.
+        ([1.0, 0.0, 0.0], pose, [5.0 / FIRM, 0.0, -3.0 / FIRM]),
+        ([0.6, 0.0, -0.8], beside, [5.0 / FIRM, 2e-4, -3.0 / FIRM]),
+        # On a level joint there is no such direction: it follows in all.
+        ([0.0, 0.0, -1.0], beside, [5.0 / FIRM, 4.0 / FIRM, -3.0 / FIRM]),
+    ):
+        run: Any = None
+        in_hand = np.zeros(3), np.eye(3)
+        hand = Felt(run, arm, in_hand, place, np.array(way), np.array([-9.0, 0.0, -1.0]), 0.4)
+        hand.feels = hand.weight + np.array([5.0, 4.0, -3.0])
+        hand.ease()
+        assert hand.went == pytest.approx(goes, abs=1e-9)
