@@ -24,7 +24,6 @@ from learn2assemble.handling.execution import (
     Coordinator,
     Execution,
     Rig,
-    abandon,
     straight_motion,
 )
 from learn2assemble.handling.prepare import (
@@ -37,6 +36,7 @@ from learn2assemble.handling.prepare import (
     require_held,
     rest_pose,
 )
+from learn2assemble.handling.recovery import abandon
 from learn2assemble.handling.rest import ShiftRule, check_rest
 from learn2assemble.handling.ways import WorldChecker, free_way
 from learn2assemble.kinematics.approach import ApproachPath, approach_path, tool_path

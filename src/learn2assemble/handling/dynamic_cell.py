@@ -8,8 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from learn2assemble.errors import InputError
-from learn2assemble.handling.execution import Execution, Rig, abandon
+from learn2assemble.handling.execution import Execution, Rig
 from learn2assemble.handling.prepare import prepare, require_held, rest_pose
+from learn2assemble.handling.recovery import abandon
 from learn2assemble.handling.rest import ShiftRule, check_rest
 from learn2assemble.handling.ways import WorldChecker
 from learn2assemble.kinematics.time_law import load_ruckig
