@@ -1,1 +1,1 @@
-"""The workcell of an arm: where things lie, what it reaches, its order, and the build."""
+"""The workcell: what there is, what an arm has to do there, and in which order."""

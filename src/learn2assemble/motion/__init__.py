@@ -1,1 +1,1 @@
-"""The motion of an arm: recorded, written to files, and turned into programs within limits."""
+"""The motion of an arm: recorded, written to files, and made into programs within limits."""

@@ -1,1 +1,1 @@
-"""Deciding with a trained agent: policies, and build plans for designs."""
+"""The order of given blocks, with posts and holds, and the plan, the result of all planning."""

@@ -1,1 +1,1 @@
-"""The robot cell: arms, their kinematics, and what picking and placing a block comes to."""
+"""Arms and tools as data, and what picking and placing a block comes to."""

@@ -1,1 +1,1 @@
-"""The dynamic cell: every pick and place is simulated in MuJoCo."""
+"""A cell with its arms and blocks in MuJoCo, seen by nobody but through readings."""
