@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 
 import learn2assemble as l2a
 from brick_data import DUPLO, duplo, scene_of
+from learn2assemble.acting.building import Building
+from learn2assemble.acting.state import Action
 from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
 from learn2assemble.assembly.joints import Joint
 from learn2assemble.assembly.kit import load_kit
@@ -16,8 +19,8 @@ from learn2assemble.cell.arrange import FINGERS, put_beside, steps_before
 from learn2assemble.cell.bricks import BrickStates, BrickStructure
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
-from learn2assemble.cell.workcell import StepOf, Workcell
-from learn2assemble.cell.world import WorkcellBlocks
+from learn2assemble.cell.workcell import Offset, StepOf, Workcell
+from learn2assemble.cell.world import WorkcellBlocks, moves, rows_of, supply_of
 from learn2assemble.errors import InputError
 from learn2assemble.handling.dry_run import _put_home
 from learn2assemble.handling.dynamic_cell import DynamicCell
@@ -27,6 +30,7 @@ from learn2assemble.planning.plan import Plan
 from learn2assemble.plants.plant import Motion
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part
+from learn2assemble.robot.moves import Move
 from learn2assemble.robot.studs import GROUND, StudJoint, Studs
 from learn2assemble.simulation.clutch import Clutch
 from learn2assemble.simulation.objects import rigid_objects
@@ -35,7 +39,7 @@ from learn2assemble.simulation.simulation import SimulatedState
 from learn2assemble.team.crew import Member
 from learn2assemble.team.members import set_up_team
 from learn2assemble.team.pair import bricks_by_team, gather
-from learn2assemble.team.telling import assume, forget
+from learn2assemble.team.telling import HERE, assume, forget
 from learn2assemble.team.together import Together
 from learn2assemble.team.traffic import Leg, Route, Traffic
 
@@ -214,8 +218,12 @@ LEFT = get_arm("ur5e", "gripper", (-2.0, 0.0, 0.0, 0.0))
 RIGHT = get_arm("panda", "gripper", (2.0, 0.0, 0.0, np.pi))
 
 
-def pressing(loads: frozenset[str]) -> tuple[Traffic, list[list[Motion]]]:
-    """Two arms, far from each other, that have announced a way down and up, and its motions."""
+def pressing(*loads: dict[str, Offset]) -> tuple[Traffic, list[list[Motion]]]:
+    """Two arms, far from each other, that have announced a way down and up, and its motions.
+
+    Args:
+        loads: where each of them presses, the other one as the first where nothing is said.
+    """
     brick = (Part((0.0, 0.0, 0.0), (0.03, 0.02, 0.02)),)
     traffic, motions = Traffic((LEFT, RIGHT)), list[list[Motion]]()
     for who, arm in enumerate((LEFT, RIGHT)):
@@ -224,7 +232,7 @@ def pressing(loads: frozenset[str]) -> tuple[Traffic, list[list[Motion]]]:
         held = in_hand(arm, solid_capsules(brick, np.array([0.0, 0.0, 0.02]), np.eye(3)))
         goal = still(solid_capsules(brick, np.array([0.0, 3.0 + who, 0.0]), np.eye(3)))
         legs = [Leg(s, sweep(arm, capsules_of(arm), np.array(way))) for s, way in ways.items()]
-        assert traffic.announce(who, Route("ab"[who], held, tuple(legs), goal, loads=loads))
+        assert traffic.announce(who, Route("ab"[who], held, tuple(legs), goal, loads=loads[-who]))
         motions.append([])
         for stage, way in ways.items():
             joints = np.array(way)
@@ -233,7 +241,7 @@ def pressing(loads: frozenset[str]) -> tuple[Traffic, list[list[Motion]]]:
 
 
 def test_no_arm_presses_while_the_other_one_does() -> None:
-    traffic, ((down, up), (other, _)) = pressing(frozenset({"place"}))
+    traffic, ((down, up), (other, _)) = pressing({"place": HERE})
     assert traffic.enter(0, down)
     assert not traffic.enter(1, other)
     assert not traffic.stuck(1)
@@ -246,21 +254,27 @@ def test_no_arm_presses_while_the_other_one_does() -> None:
     assert traffic.enter(0, up)
 
 
+def test_arms_press_at_once_on_what_each_builds_beside() -> None:
+    traffic, ((down, _), (other, _)) = pressing({"place": HERE}, {"place": (0.3, 0.0, 0.0)})
+    assert traffic.enter(0, down)
+    assert traffic.enter(1, other)
+
+
 def test_blocks_that_are_set_down_may_come_at_once() -> None:
-    traffic, ((down, _), (other, _)) = pressing(frozenset())
+    traffic, ((down, _), (other, _)) = pressing({})
     assert traffic.enter(0, down)
     assert traffic.enter(1, other)
 
 
 def test_nothing_is_pressed_on_what_a_stopped_arm_presses_on() -> None:
-    traffic, ((down, _), _) = pressing(frozenset({"place"}))
+    traffic, ((down, _), _) = pressing({"place": HERE})
     route = traffic.lanes[1].route
     assert route is not None
     assert traffic.enter(0, down)
     traffic.over(1)
     traffic.stopped(0)
     assert not traffic.fits(1, route)
-    assert traffic.fits(1, route._replace(loads=frozenset()))
+    assert traffic.fits(1, route._replace(loads={}))
 
 
 def test_what_each_hand_has_pressed_home_is_its_own() -> None:
@@ -334,16 +348,82 @@ def test_the_next_step_is_one_that_can_be_done_then(stair: Ordered) -> None:
     known = both.buildings[0].known
     beside = {step.block: step for step in order[2:4]}
     known.order = order[-1], *order[:-1]
-    assert known.next_after(0) == order[1]
+    assert known.next_after({0}) == order[1]
     assume(both.buildings[0], [0])
     assume(both.buildings[0], [1])
-    assert known.next_after(2) == beside[3]
+    assert known.next_after({2}) == beside[3]
     assume(both.buildings[0], [2])
-    assert known.next_after(3) == order[-1]
+    assert known.next_after({3}) == order[-1]
     # Where nothing can, the first one: what is missing may come with what the arm has in hand.
     known = both.buildings[1].known
     known.order = order[1:2]
-    assert known.next_after(2) == order[1]
+    assert known.next_after({2}) == order[1]
+
+
+def test_an_arm_waits_above_what_it_takes_next(stair: Ordered) -> None:
+    """And leaves out what the other arm takes before; what was built beside is lifted off by the
+    hand that is above it already."""
+    plan, order, members = stair
+    both = Together(gather(plan, members, Workcell("panda", "gripper"), 0.0, order), DynamicPlant)
+    building = both.buildings[0]
+    building.known.order = order
+    world, sources = building.world, [world_source(building, k) for k in range(4)]
+
+    def after(k: int, *between: int) -> np.ndarray | None:
+        building.between = set(between)
+        found = building._following(Action(k, world.target(k), "place", sources[k]))
+        return None if found is None else found.step
+
+    for k, between, following in ((0, (), 1), (0, (1,), 2), (1, (2,), 3)):
+        step = after(k, *between)
+        assert step is not None
+        there = world.presented(following, sources[following])
+        np.testing.assert_allclose(step[:2], (there - world.presented(k, sources[k]))[:2])
+        assume(building, [k])
+    assume(building, [2])
+    building.between = set()
+    found = building._following(Action(3, world.target(3), "place", sources[3]))
+    assert found is not None
+    assert found.placed
+    np.testing.assert_allclose(found.step[:2], (world.target(2) - world.target(3))[:2])
+
+
+def world_source(building: Building, k: int) -> int:
+    """Where an arm takes a block from."""
+    return supply_of(building.world, k)[0]
+
+
+@pytest.mark.parametrize("press", [None, (0.0, 0.0)])
+def test_a_socket_turns_a_brick_the_shorter_way(press: tuple[float, float] | None) -> None:
+    """Bricks look the same the other way round; on the stud where it is pressed, and on others."""
+    made = [Brick((0, 0, 0), (4, 2, 3), "a"), Brick((8, 0, 0), (2, 4, 3), "b")]
+    pair = assembly_of(BrickModel(tuple(made)), load_kit("lego"), "pair")
+    members = set_up_team(pair, [one._replace(tool="socket") for one in ARMS], Site())
+    for member in members:
+        world = WorkcellBlocks(member.job)
+        for k in range(2):
+            here = world.presented(k, supply_of(world, k)[0])
+            world.pose[k], goal = here, world.target(k)
+            rows = rows_of(world, world.pose, k)
+            at = None if press is None else (goal[0] + press[0], goal[1] + press[1])
+            ways = list(moves(world, rows, k, goal, press=at))
+            ends = [move.place.tool_point(move.target)[:2] for move in ways]
+            near = [0.0 if at is None else round(math.dist(end, at), 3) for end in ends]
+            turns = [wrist_turn(member.job.base, here, goal, move) for move in ways]
+            assert near[0] == min(near)
+            assert (
+                turns[0] <= min(t for t, n in zip(turns, near, strict=True) if n == near[0]) + 0.1
+            )
+            assert turns[0] < math.pi / 2 + 0.1
+
+
+def wrist_turn(base: np.ndarray, here: np.ndarray, there: np.ndarray, move: Move) -> float:
+    """By how much the hand turns against the direction from the base of the arm [rad]."""
+    angles = [
+        math.atan2(*hand.rotation()[1::-1, 0]) - math.atan2(*(at[:2] - base)[::-1])
+        for hand, at in ((move.grasp, here), (move.place, there))
+    ]
+    return abs(math.remainder(angles[1] - angles[0], math.tau))
 
 
 def test_what_comes_together_is_expected_when_it_is_off_its_table(stair: Ordered) -> None:

@@ -16,7 +16,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError
-from learn2assemble.handling.prepare import Course, prepare
+from learn2assemble.handling.prepare import Course, Following, prepare
 from learn2assemble.handling.ways import KEEP, STRIDE, WorldChecker, straight_or_tree
 from learn2assemble.kinematics.approach import (
     JUMP,
@@ -246,7 +246,7 @@ def test_a_build_takes_low_ways_and_waits_above_the_next_object() -> None:
     order = take_order(tower(2), Move(2, np.array([0.0, 0.15, 0.025]), *AA))
     world = compile_world((PANDA,), order.objects.shape, 1.0)
     high = prepare(PANDA, world, order, PANDA.home, True)
-    low = prepare(PANDA, world, order, PANDA.home, True, np.array([0.05, 0.0, 0.0]))
+    low = prepare(PANDA, world, order, PANDA.home, True, Following(np.array([0.05, 0.0, 0.0])))
     where = [forward(get_chain(PANDA), q)[0] for q in (low.across[0], low.home[-1])]
     np.testing.assert_allclose(where[1], where[0] + [0.05, 0.0, 0.0], atol=1e-4)
     for one, other in ((low.plan.pick, high.plan.pick), (low.plan.leave, high.plan.leave)):
@@ -270,7 +270,7 @@ def test_a_cup_goes_down_from_where_it_waits_above_what_it_takes(name: str) -> N
     hand = hands(arm, np.full(3, 0.025))[0]
     order = take_order(scene, Move(2, np.array([0.0, 0.25, 0.025]), hand, hand))
     world = compile_world((arm,), order.objects.shape, 1.0)
-    following = np.array([0.05, 0.0, 0.0])
+    following = Following(np.array([0.05, 0.0, 0.0]))
 
     def course(start: np.ndarray) -> Course:
         return prepare(arm, world, order, start, True, following)

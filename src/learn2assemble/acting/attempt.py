@@ -28,9 +28,10 @@ from learn2assemble.handling.execution import (
 )
 from learn2assemble.handling.prepare import (
     PRESS,
-    STRAIGHT,
     Approaches,
     Course,
+    Following,
+    least_rise,
     leaving,
     prepare,
     require_held,
@@ -71,9 +72,8 @@ side by side are 0.25 mm."""
 class Ahead(NamedTuple):
     """What an attempt is told of the rest of the build."""
 
-    following: np.ndarray | None = None
-    """float64[3] from the top of the block to where the top of the next one will be [m]: the arm
-    waits above that; None: at home."""
+    following: Following | None = None
+    """The arm waits above that; None: at home."""
     height: float = UNCERTAIN
     """Standard deviation of the height of what carries the block in its place [m]."""
     home: np.ndarray | None = None
@@ -304,7 +304,7 @@ class Attempts:
         checker = WorldChecker(self.job.arm, world, order.poses, order.names)
         checker.empty(order.opening)
         rest, why = rest_pose(self.job.arm, checker), None
-        for leave in _ends(checker, run.leaving):
+        for leave in _ends(checker, run.leaving, least_rise(self.job.arm, order)):
             try:
                 home = free_way(checker, leave.joints[-1], rest, "home")
             except Failure as failure:
@@ -346,7 +346,7 @@ class Attempts:
             run.wait(REST, "release", BLIND)
 
     def _course(
-        self, order: Order, joints: np.ndarray, following: np.ndarray | None
+        self, order: Order, joints: np.ndarray, following: Following | None
     ) -> tuple[Course, SimulatedWorld | None]:
         """The ways of an attempt, and the model they were planned in."""
         if self.planner is not None:
@@ -372,12 +372,12 @@ OUT_STEP = 0.05
 """Between the ends of a way out that are tried [m]."""
 
 
-def _ends(checker: WorldChecker, path: ApproachPath) -> Iterator[ApproachPath]:
-    """A way out as far as it is free, then shorter ones."""
-    count = int((path.rise < STRAIGHT).sum()) + 1
+def _ends(checker: WorldChecker, path: ApproachPath, least: float) -> Iterator[ApproachPath]:
+    """A way out as far as it is free, then shorter ones, not shorter than that [m]."""
+    count = int((path.rise < least).sum()) + 1
     while count < len(path.joints) and checker.check(path.joints[count]) is None:
         count += 1
-    while path.rise[count - 1] >= STRAIGHT:
+    while path.rise[count - 1] >= least:
         yield ApproachPath(path.joints[:count], path.rise[:count])
         lower = float(path.rise[count - 1]) - OUT_STEP
         count = int(np.searchsorted(path.rise, lower)) or 1

@@ -35,6 +35,7 @@ from learn2assemble.cell.world import (
     supply_of,
 )
 from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.handling.prepare import Following
 from learn2assemble.kinematics.cell import KinematicCell
 from learn2assemble.motion.recorder import StepMotion
 from learn2assemble.plants.checked import Checked
@@ -129,6 +130,8 @@ class Building:
         self.pace: Pace = Pace()
         """Of the steps that are left."""
         self.joints: np.ndarray = self._where(arm.home)
+        self.between: set[int] = set()
+        """Blocks that another arm fetches next, before this one does."""
         self.goes_home: bool = bool(workcell.site.cameras)
         """Whether the arm waits at home, not above what it takes next: where cameras look for
         blocks it goes out of their sight."""
@@ -227,8 +230,8 @@ class Building:
         lost: PlantError | None = None
         try:
             following = None
-            if presented and action.source is not None:
-                following = self._following(k, action.source)
+            if presented or action.group:
+                following = self._following(action)
             ahead = Ahead(following, height, home)
             came = self.attempts.carry_out(rows, move, k, self.joints, ahead)
         except PlantError as error:
@@ -271,24 +274,26 @@ class Building:
             raise lost
         return True
 
-    def _following(self, k: int, source: int) -> np.ndarray | None:
-        """float64[3]: from the top of a block that waits at a source to where the top of the next
-        one will be [m]; None where the arm does not fetch another one next, waits at home, or
-        somebody comes near before."""
-        if self.goes_home:
+    def _following(self, action: Action) -> Following | None:
+        """What the arm takes next, from a source or where it was built beside; None where it does
+        not know that, waits at home, or somebody comes near before."""
+        world, k = self.world, action.block
+        step = self.known.next_after({k, *self.between})
+        if self.goes_home or step is None or step.remove or step in self.known.by_hand:
             return None
-        step = self.known.next_after(k)
-        if step is None or step.remove or step.group or step in self.known.by_hand:
+        n, sources = step.block, supply_of(world, step.block)
+        here, there = world.pose[k] if action.group else None, None
+        if step.group:
+            here, there = action.goal, world.target(n)
+        elif sources and world.state[n] == STOCK:
+            there = world.presented(n, sources[0])
+            if not action.group and action.source is not None:
+                here = world.presented(k, action.source)
+        if here is None or there is None:
             return None
-        world, sources = self.world, supply_of(self.world, step.block)
-        if not sources or world.state[step.block] != STOCK:
-            return None
-        here, there = (world.job.sources[n].pose for n in (source, sources[0]))
-        top, other = (
-            float(one.corners(one.waits)[:, 2].max())
-            for one in (world.pieces[k], world.pieces[step.block])
-        )
-        return np.array([there[0] - here[0], there[1] - here[1], max(other - top, 0.0)])
+        top, other = (world.pieces[m].corners(at)[:, 2].max() for m, at in ((k, here), (n, there)))
+        higher = max(other - top, 0.0)
+        return Following(np.array([*(there - here)[:2], higher]), bool(step.group))
 
     def _interrupted(self, rows: Rows, move: Move, k: int, error: PlantError) -> Came:
         """What came of an attempt that the plant has ended, as far as it is known: what was in the

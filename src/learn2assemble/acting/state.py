@@ -7,7 +7,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import Counter
-from collections.abc import Generator
+from collections.abc import Generator, Set
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -211,17 +211,17 @@ class Choice:
         after = f"; {waiting} more wait{'s' * (waiting == 1)} for that" if waiting else ""
         return f"{piece.id} ({piece.name}){others} cannot be placed: {blocked[number]}{after}"
 
-    def next_after(self, block: int) -> StepOf | None:
-        """The step that comes next, as a rule, when a block is in its place: of bricks that clutch,
-        the first one for which nothing is missing then, if there is one."""
-        others = {block} | self.elsewhere
+    def next_after(self, blocks: Set[int]) -> StepOf | None:
+        """The step that comes next, as a rule, when some blocks are in their places: of bricks that
+        clutch, the first one for which nothing is missing then, if there is one."""
+        others = blocks | self.elsewhere
         left = [s for s in self.order if s.block not in others and not self.satisfied(s)]
         if self.structure.studs() is not None:
             there = self.standing() | {k for k in others if k < len(self.job.pieces)}
             left = [step for step in left if self._comes(step, others, there)] or left
         return next(iter(left), None)
 
-    def _comes(self, step: StepOf, others: set[int], there: set[int]) -> bool:
+    def _comes(self, step: StepOf, others: Set[int], there: set[int]) -> bool:
         """Whether nothing is missing for a step when some pieces are there and steps with others
         are done."""
         before = self.waits.get(step, ())

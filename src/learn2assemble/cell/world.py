@@ -305,18 +305,16 @@ def moves(
     if not alone:
         goals = [goal for goal in goals if np.trace(now.T @ goal) > 1 + 2 * math.cos(FLAT)]
     ways = ways_to_turn(arm, piece.shape, now, goals)
-    if press is not None:
+    socket = arm.suction is not None and arm.suction.studs
+    if press is not None or socket:
         at = {id(way): goal[:2] + (way.goal @ np.array(way.hold.point))[:2] for way in ways}
-        beside = {id(way): round(math.dist(at[id(way)], press), 3) for way in ways}
-        ways.sort(key=lambda way: beside[id(way)])
-        if arm.suction is not None:
-            # On the same stud the other way round as well, which may turn the wrist less.
-            here, first = np.array(rows.pose(moving, piece.shape)[:2]), dict[Any, int]()
-            for way in ways:
-                first.setdefault((beside[id(way)], way.hold), len(first))
-            wrist = {id(way): _wrist_turn(arm, way, here, goal[:2]) for way in ways}
-            ways.sort(key=lambda way: (first[beside[id(way)], way.hold], wrist[id(way)]))
-        ways = [way for way in ways if _bears(world, way, at[id(way)], press)]
+        beside = {id(way): round(math.dist(at[id(way)], press or at[id(way)]), 3) for way in ways}
+        # Of those as near to it, first what turns the wrist less: the brick the other way round.
+        here = np.array(rows.pose(moving, piece.shape)[:2])
+        wrist = {id(way): _wrist_turn(arm, way, here, goal[:2]) for way in ways if socket}
+        ways.sort(key=lambda way: (beside[id(way)], wrist.get(id(way), 0.0)))
+        if press is not None:
+            ways = [way for way in ways if _bears(world, way, at[id(way)], press)]
     for way in ways:
         centre = np.array(piece.shape[way.hold.part].centre)
         grasp = attitude(way.hold, centre, now, way.grasp)

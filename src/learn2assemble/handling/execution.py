@@ -68,8 +68,12 @@ RAMP_TIME = 0.04
 with it and doubles its load."""
 PERIOD = 0.01
 """Between the instants at which that load is computed [s]."""
-PRESS_NEAR, PRESS_SPEED = 0.001, 0.005
-"""From so near to the contact [m] it is pressed on studs so slowly [m/s]."""
+KNOBS = 0.003
+"""From so far above its place it is lowered softly on studs, whose knobs it meets 1.8 mm above that
+[m] ..."""
+PRESS_NEAR, PRESS_SPEED = 0.001, 0.0075
+"""... and from so near to the contact [m] it is pressed on them so slowly [m/s], between pads as
+slowly as it is set down."""
 SLOT_SPEED = 0.1
 """So slowly it goes into a slot between others, and out of it [m/s]: faster, it strays by more than
 the joints leave."""
@@ -233,8 +237,9 @@ class Execution:
         self.travel(course.there, "approach", EMPTY, opened)
         self.grasp(course.plan.pick)
         self.carry(self.checked(course.across, "cross"))
-        if self.order.scene.half is not None:
-            # What is seen shall be where it sits, not how it swings.
+        suction = self.rig.arm.suction
+        if self.order.scene.half is not None and not (suction is not None and suction.studs):
+            # What is seen shall be where it sits, not how it swings; on studs nothing swings.
             self.wait(CALM_TIME, "cross", LOADED)
         place, self.leaving = self.corrected()
         self.lower(place, "place", LOADED, NEAR)
@@ -556,17 +561,17 @@ class Execution:
         now = _nearest(approach, self.joints)
         path, bounds = self.gently(np.vstack([self.joints, approach.joints[:now][::-1]]))
         rise = approach.rise[: now + 1][::-1]
-        soft = SOFT if self.order.scene.half is None else LOOSE
+        press = self.press() if before is LOADED else 0.0
+        soft = KNOBS if press else SOFT if self.order.scene.half is None else LOOSE
         zones = [(CAREFUL, CAREFUL_SPEED), (soft, SOFT_SPEED)]
         slot = 0.0 if self.order.scene.half is None else self.slot(approach is not pick)
         if slot:
             zones = sorted([*zones, (min(slot + SOFT, rise[0]), SLOT_SPEED)], reverse=True)
+        pads = self.rig.arm.suction is None
         if self.rig.guarded:
-            speed = PADS_SPEED if self.rig.arm.suction is None else GUARDED_SPEED
-            zones.append((self.rig.guarded, speed))
-        press = self.press() if before is LOADED else 0.0
+            zones.append((self.rig.guarded, PADS_SPEED if pads else GUARDED_SPEED))
         if press:
-            zones.append((PRESS_NEAR, PRESS_SPEED))
+            zones.append((PRESS_NEAR, PADS_SPEED if pads else PRESS_SPEED))
         segments = approach_speed_limits(path, rise, tuple(zones), bounds)
         loose = float(np.interp(-LOOSE, -rise, path.knots))
         until = near._replace(begin=loose, contact=press or LANDED, bears=press > 0)

@@ -24,10 +24,13 @@ from learn2assemble.robot.moves import LEVEL, Failure, Move, Outcome, Scene, ove
 from learn2assemble.simulation.model import SimulatedWorld
 from learn2assemble.simulation.objects import PRESS, Order
 
-STRAIGHT = 0.015
-"""At least so far from a contact the tool comes and goes straight [m]."""
+STRAIGHT, OFF_KNOBS = 0.015, 0.008
+"""At least so far from a contact the tool comes and goes straight [m]; and a socket where studs say
+where things are, whose knobs are 1.8 mm high."""
 LIFTED, GRADE = 0.008, 0.001
 """So far above a contact it counts how near the arm comes to others [m], in steps of this [m]."""
+HANGS = 2e-4
+"""So much lower than it is planned a brick may sit in the hand [m]."""
 MAX_RAISES = 4
 """How often the crossing is tried again, a level higher."""
 _MAX_LIFTS, _UP = 8, np.array([0.0, 0.0, LEVEL])
@@ -47,6 +50,16 @@ class Approaches(NamedTuple):
     """The order, with the fingers exchanged where that is easier."""
     height: float
     """Of the tool while crossing [m]."""
+
+
+class Following(NamedTuple):
+    """What an arm takes next."""
+
+    step: np.ndarray
+    """float64[3] from the top of the object it moves now, where it waits, to where the top of the
+    next one will be [m]."""
+    placed: bool = False
+    """Whether it is from the top of the object in its place, as the next one is near that."""
 
 
 class Course(NamedTuple):
@@ -80,7 +93,7 @@ def prepare(
     order: Order,
     joints: np.ndarray | None,
     precheck: bool,
-    following: np.ndarray | None = None,
+    following: Following | None = None,
     near: np.ndarray | None = None,
     low: bool = False,
 ) -> Course:
@@ -92,8 +105,8 @@ def prepare(
         order: what is asked.
         joints: float64[n] where the arm is [rad]; by default its :func:`rest_pose`.
         precheck: whether an occupied target is a failure already.
-        following: float64[3] from the top of this object to where the top of the next one will
-            be [m]: the arm takes the shortest ways there are, and waits above that.
+        following: what comes next: the arm takes the shortest ways there are, and waits above
+            that.
         near: float64[n], joints near which the arm shall be when the object is in its place, with
             the hand as ordered [rad]; by default what meets least.
         low: whether it takes the shortest ways though it waits at home.
@@ -119,25 +132,40 @@ def prepare(
         plan = _lowered(checker, order, plan, start)
         across = np.array([plan.pick.joints[-1], plan.place.joints[-1]])
     if following is not None:
-        waits = _above(checker, plan.pick, following)
+        if following.placed:
+            checker.put(order.target, *placed, order.opening)
+        waits = _above(checker, plan.place if following.placed else plan.pick, following.step)
         checker.empty(order.opening)
-    there = _there(checker, start, plan.pick)
+    there = _there(checker, start, plan.pick, least_rise(arm, order))
     checker.put(order.target, *placed, order.opening)
     low, waits = low or waits is not None, rest_pose(arm, checker) if waits is None else waits
     if low and len(across) == 2:
-        plan = plan._replace(leave=_lowest(plan.leave, lambda q: _free(checker, q, waits)))
+        least = least_rise(arm, order)
+        plan = plan._replace(leave=_lowest(plan.leave, least, lambda q: _free(checker, q, waits)))
     home = free_way(checker, plan.leave.joints[-1], waits, "home")
     return Course(plan, there, across, home)
 
 
-def _there(checker: WorldChecker, start: np.ndarray, pick: ApproachPath) -> np.ndarray:
+def least_rise(arm: Arm, order: Order) -> float:
+    """At least so far from a contact the tool comes and goes straight [m]; fingers reach down
+    beside what they hold."""
+    pads = arm.suction is None
+    return STRAIGHT if pads or order.scene.studs is None else OFF_KNOBS
+
+
+def _there(
+    checker: WorldChecker, start: np.ndarray, pick: ApproachPath, least: float
+) -> np.ndarray:
     """See :attr:`Course.there`; a cup has nothing to open before it goes down.
+
+    Args:
+        least: of :func:`least_rise`.
 
     Raises:
         Failure: where there is no way.
     """
     on = None if checker.arm.suction is None else on_path(checker.arm, pick, start)
-    if on is not None and on[1] >= STRAIGHT and _free(checker, start, pick.joints[on[0] - 1]):
+    if on is not None and on[1] >= least and _free(checker, start, pick.joints[on[0] - 1]):
         return start[None]
     return free_way(checker, start, pick.joints[-1], "approach")
 
@@ -146,14 +174,15 @@ def _free(checker: WorldChecker, start: np.ndarray, end: np.ndarray) -> bool:
     return checker.blocked(start, end) is None
 
 
-def _lowest(path: ApproachPath, free: Callable[[np.ndarray], bool]) -> ApproachPath:
+def _lowest(path: ApproachPath, least: float, free: Callable[[np.ndarray], bool]) -> ApproachPath:
     """An approach path only as high as it has to be.
 
     Args:
         path: whose end is high enough.
+        least: of :func:`least_rise`.
         free: of its joints float64[n]: whether the way from there is.
     """
-    low = int(np.searchsorted(path.rise, STRAIGHT - 1e-9))
+    low = int(np.searchsorted(path.rise, least - 1e-9))
     high = len(path.joints) - 1
     # What is free is so higher up, too, as a rule; what is found is looked at itself.
     while low < high:
@@ -165,28 +194,43 @@ def _lowest(path: ApproachPath, free: Callable[[np.ndarray], bool]) -> ApproachP
 def _lowered(
     checker: WorldChecker, order: Order, plan: Approaches, start: np.ndarray
 ) -> Approaches:
-    """The plan with approach paths only as high as the ways between them need, those straight."""
+    """The plan with approach paths only as high as the ways between them need, those straight.
+
+    Bricks are built so high that a way which ends just above one has to begin far above the other
+    one. There the sum counts, what is above the place twice: the way down is slow there, and others
+    wait for it.
+    """
     move, pick, place = plan.move, plan.pick, plan.place
     if move.grasp.sideways or move.place.sideways or move.place.apart:
         return plan
-    checker.carry(order.target, *order.in_hand(move.grasp), order.held)
+    studs, least = order.scene.studs is not None, least_rise(checker.arm, order)
+    where, turn = order.in_hand(move.grasp)
+    checker.carry(order.target, where + HANGS * studs * np.array([0.0, 0.0, 1.0]), turn, order.held)
     top = pick.joints[-1]
-    place = _lowest(place, lambda q: _free(checker, top, q))
-    over = place.joints[-1]
-    pick = _lowest(pick, lambda q: _free(checker, q, over))
+    found: list[tuple[float, ApproachPath, ApproachPath]] = []
+    low = _lowest(place, least, lambda q: _free(checker, top, q))
+    for count in range(len(low.joints), len(place.joints) + 1):
+        path = ApproachPath(place.joints[:count], place.rise[:count])
+        over = path.joints[-1]
+        if found and not _free(checker, top, over):
+            continue
+        up = _lowest(pick, least, lambda q, over=over: _free(checker, q, over))
+        found.append((2 * path.rise[-1] + up.rise[-1], up, path))
+        if not studs or up.rise[-1] < STRAIGHT:
+            break
+    pick, place = min(found, key=lambda one: one[0])[1:]
     checker.empty(order.opening)
     if not _free(checker, start, pick.joints[-1]):
         pick = plan.pick
     return plan._replace(pick=pick, place=place)
 
 
-def _above(checker: WorldChecker, pick: ApproachPath, step: np.ndarray) -> np.ndarray | None:
+def _above(checker: WorldChecker, over: ApproachPath, step: np.ndarray) -> np.ndarray | None:
     """Joints float64[n] [rad] with the empty tool above the next object, ``step`` float64[3] [m]
-    from above this one; None where it cannot be there."""
+    from the end of an approach path over this one; None where it cannot be there."""
     arm = checker.arm
-    position, rotation = forward(get_chain(arm), pick.joints[-1])
-    found = solve(arm, position + step, rotation, pick.joints[-1], restarts=0)
-    checker.empty(checker.opening)
+    position, rotation = forward(get_chain(arm), over.joints[-1])
+    found = solve(arm, position + step, rotation, over.joints[-1], restarts=0)
     return found.joints if found.ok and checker.check(found.joints) is None else None
 
 

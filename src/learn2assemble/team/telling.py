@@ -34,6 +34,9 @@ from learn2assemble.simulation.objects import Order, part_of
 from learn2assemble.team.pair import Pair
 from learn2assemble.team.traffic import APART, Leg, Route
 
+HERE = (0.0, 0.0, 0.0)
+"""In the place of the structure that is built, not beside it [m]."""
+
 
 class Turns(Protocol):
     """Lets work of several arms run side by side on one clock."""
@@ -142,6 +145,7 @@ def route_of(
     block: str,
     along: Sequence[str] = (),
     widest: float = WIDEST,
+    spots: tuple[Offset, Offset] = (HERE, HERE),
 ) -> Route:
     """What an attempt that is about to begin announces.
 
@@ -151,6 +155,7 @@ def route_of(
         along: ... and of what it brings along.
         widest: half of what of a block is in one capsule at most [m]; the finer, the nearer it may
             come to the other arm.
+        spots: how far from the place of the structure it is taken, and brought [m].
     """
     arm, order, plan = run.rig.arm, run.order, run.course.plan
     own, objects = capsules_of(arm), order.objects.shape[order.target]
@@ -169,14 +174,18 @@ def route_of(
     legs += [Leg("home", sweep(arm, own, np.array(way))) for way in pairwise(run.course.home)]
     # The way down goes on below the place, the farther the harder it is pressed there.
     there = sweep(arm, both, place[np.abs(plan.place.rise).argmin()][None])
-    return Route(block, held, tuple(legs), goal, there, tuple(along), _loads(order))
+    return Route(block, held, tuple(legs), goal, there, tuple(along), _loads(order, spots))
 
 
-def _loads(order: Order) -> frozenset[str]:
+def _loads(order: Order, spots: tuple[Offset, Offset]) -> dict[str, Offset]:
     """See :attr:`Route.loads`."""
     own = set(order.scene.members(order.move.cell).tolist())
     joints = () if order.scene.studs is None else order.scene.studs.joints
-    return frozenset("lift" if one.home else "place" for one in joints if one.leaves(own))
+    return {
+        stage: spot
+        for stage, spot, home in zip(("lift", "place"), spots, (True, False), strict=True)
+        if any(bool(one.home) == home and one.leaves(own) for one in joints)
+    }
 
 
 # ---------------------------------------------------------------- what a file is told

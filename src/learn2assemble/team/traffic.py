@@ -12,18 +12,21 @@ An arm whose block comes after the one that the other arm moves may fetch it mea
 a route *behind* that of the other arm, and waits until that has let go of its block where it was to
 place it, or is over; before it crosses, or as far across as it is in nobody's way.
 
-Where bricks clutch, no arm presses on what stands, or draws at it, while the other one does.
+Where bricks clutch, no arm presses on what stands, or draws at it, while the other one does the
+same to it; what is built beside is another structure.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
+from learn2assemble.cell.workcell import Offset
 from learn2assemble.handling.execution import PAUSE, Coordinator
 from learn2assemble.kinematics.capsules import Capsules, capsules_of
 from learn2assemble.kinematics.sweeps import Sweep, clear, sweep
@@ -89,8 +92,9 @@ class Route(NamedTuple):
     """The arm with the block in its place."""
     along: tuple[str, ...] = ()
     """Names of the blocks that it brings along."""
-    loads: frozenset[str] = frozenset()
-    """Stages in which it presses a brick home on what stands, or draws one off."""
+    loads: Mapping[str, Offset] = MappingProxyType({})
+    """Stages in which it presses a brick home on what stands, or draws one off; and how far from
+    the place of the structure that is built [m]."""
 
     @property
     def waits(self) -> int:
@@ -128,9 +132,10 @@ class Lane:
     """Of the other arm: its own block comes after that one, whether that is placed or not."""
     placed: bool = False
     """Whether it has let go of its block in its place."""
-    loading: bool = False
-    """Whether it presses on what stands, or draws at that: the other arm does not meanwhile, as
-    states are proven under one of these loads alone."""
+    loading: Offset | None = None
+    """Where it presses on what stands, or draws at that, as :attr:`Route.loads`; None: it does not.
+    The other arm does not load the same meanwhile, as states are proven under one of these loads
+    alone."""
     left: tuple[str, ...] = ()
     """Names of the blocks that it moved when it was stopped."""
     in_vain: bool = False
@@ -187,7 +192,7 @@ class Traffic:
                 block then stands where it is to stand.
         """
         lane, other = self.lanes[who], self.other(who)
-        if route.loads and other.halted and other.loading:
+        if other.halted and other.loading in route.loads.values():
             return False
         if behind and other.route is not None:
             own = route.waits
@@ -239,8 +244,8 @@ class Traffic:
         if lane.placed and other.behind is lane.route:
             other.behind = None
             self.changes += 1
-        if lane.loading:
-            lane.loading = False
+        if lane.loading is not None:
+            lane.loading = None
             self.changes += 1
 
     def over(self, who: int, placed: bool = True) -> None:
@@ -252,7 +257,7 @@ class Traffic:
         lane = self.lanes[who]
         self._over(who, placed)
         lane.route, lane.ahead, lane.on_route, lane.holding = None, (), True, False
-        lane.loading = False
+        lane.loading = None
         self.changes += 1
 
     def leaves_route(self, who: int) -> None:
@@ -288,12 +293,12 @@ class Traffic:
         lane, other = self.lanes[who], self.other(who)
         if lane.refused == self.changes:
             return False
-        loads = lane.route is not None and motion.stage in lane.route.loads
+        loads = None if lane.route is None else lane.route.loads.get(motion.stage)
         halt = lane.halt
         if halt is not None and np.abs(motion.joints[-1] - halt[0]).max() > STANDS:
             halt = None
         waits = halt is None and lane.behind and motion.stage in BEHIND
-        if (loads and other.loading) or waits:
+        if (loads is not None and loads == other.loading) or waits:
             lane.refused = self.changes
             return False
         swept = self._of(lane, motion)
@@ -395,7 +400,7 @@ class Traffic:
         lane = self.lanes[who]
         lane.holding, lane.moving = holding, False
         # What was drawn off is free; what is pressed home is so until the hand lets go.
-        lane.loading = lane.loading and lane.stage == "place"
+        lane.loading = lane.loading if lane.stage == "place" else None
         lane.here = lane.swept(joints[None])
         self.changes += 1
 
