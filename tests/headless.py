@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.image import imread
+from PIL import Image
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 FLAT = ("--disable-gpu", "--disable-3d-apis")
@@ -93,8 +93,14 @@ def shoot(
         f"--window-size={size[0] * len(anchors)},{size[1]}",
     )
     assert shot.is_file(), log
-    image = imread(shot)
+    image = read_picture(shot)
     return [image[:, k * size[0] : (k + 1) * size[0]] for k in range(len(anchors))], log
+
+
+def read_picture(file: Path) -> np.ndarray:
+    """Its colours, float64[rows, columns, channels], from 0 to 1."""
+    with Image.open(file) as picture:
+        return np.asarray(picture) / 255
 
 
 def pixels(image: np.ndarray, colour: str) -> int:

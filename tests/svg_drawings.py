@@ -286,9 +286,7 @@ DRAWINGS: dict[str, str] = {
 
 def shown_by(browser: str, folder: Path) -> dict[str, np.ndarray]:
     """What a browser shows of every drawing as material, ``bool[SIZE, SIZE]``, from above."""
-    from matplotlib.image import imread
-
-    from headless import FLAT, browse
+    from headless import FLAT, browse, read_picture
 
     rows = -(-len(DRAWINGS) // _ACROSS)
     places = [divmod(k, _ACROSS) for k in range(len(DRAWINGS))]
@@ -311,7 +309,7 @@ def shown_by(browser: str, folder: Path) -> dict[str, np.ndarray]:
         f"--window-size={_ACROSS * SIZE},{rows * SIZE}",
     )
     assert shot.is_file(), log
-    image = np.rint(255 * imread(shot)[..., :3]).min(-1)
+    image = np.rint(255 * read_picture(shot)[..., :3]).min(-1)
     return {
         name: image[row * SIZE : (row + 1) * SIZE, column * SIZE : (column + 1) * SIZE] <= _DARK
         for name, (row, column) in zip(DRAWINGS, places, strict=True)

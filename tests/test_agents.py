@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import lzma
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -304,9 +305,25 @@ def test_an_agent_is_shipped() -> None:
 
 
 def test_the_package_carries_only_defaults() -> None:
-    carried = {path.stem for path in agent_module.PRETRAINED.glob("*.safetensors")}
+    files = agent_module.PRETRAINED.glob("*.safetensors.xz")
+    carried = {path.name.removesuffix(".safetensors.xz") for path in files}
+    assert carried
     assert carried < set(agent_module.DEFAULTS.values()) <= set(agent_files())
     assert not carried & {path.stem for path in agent_module.REPOSITORY.iterdir()}
+
+
+def test_a_packed_agent_is_the_same_one(tmp_path: Path) -> None:
+    """And one that was cut off is refused in one line."""
+    packed = next(agent_module.PRETRAINED.glob("*.safetensors.xz"))
+    plain, damaged = tmp_path / FILE, tmp_path / f"{FILE}.xz"
+    plain.write_bytes(lzma.decompress(packed.read_bytes()))
+    assert bare_weights(plain) == bare_weights(packed)
+    one, other = load_agent(plain).network.state_dict(), load_agent(packed).network.state_dict()
+    assert all((one[key] == other[key]).all() for key in one)
+    for content in (packed.read_bytes()[:-1000], b"no xz", b""):
+        damaged.write_bytes(content)
+        with pytest.raises(InputError, match=r"agent: got .*xz', expected a trained agent"):
+            load_agent(damaged)
 
 
 @pytest.mark.parametrize("name", agent_files())

@@ -29,6 +29,7 @@ from learn2assemble.export.formats import bill_of_blocks
 from learn2assemble.export.pdf import pdf
 from learn2assemble.export.pictures import booklet
 from learn2assemble.export.projection import DrawnScene
+from learn2assemble.fonts import font_file
 from learn2assemble.viewer.page import render_assembly_page
 from read_back import (
     ALLOWED,
@@ -170,6 +171,30 @@ def test_pages_have_numbers_and_none_is_empty() -> None:
         assert f"page {number} of" in text
         assert len(text) > 60
     assert made == pdf(wide(40)), "equal instructions are equal files"
+
+
+@pytest.mark.parametrize("name", ["Ödön", "Żółć", "Школа Ђурђевић", "Στοά"])
+def test_names_of_european_languages_are_written(name: str) -> None:
+    """By a font of ours where the fonts of every PDF lack a letter."""
+    pypdf = pytest.importorskip("pypdf")
+    made = pdf(Assembly(wide(3).blocks, name=name))
+    text = "".join(page.extract_text() for page in pypdf.PdfReader(io.BytesIO(made)).pages)
+    assert name in text
+    assert pdf(Assembly(wide(3).blocks, name=f"{name} 塔"))
+    assert (b"DejaVu" in made) == (name != "Ödön")
+
+
+@pytest.mark.parametrize("bold", [False, True])
+def test_fonts_have_the_letters_of_european_languages(bold: bool) -> None:
+    fonts = pytest.importorskip("reportlab.pdfbase.ttfonts")
+    letters = fonts.TTFont("test", str(font_file(bold))).face.charToGlyph
+    names = {
+        "Latin": range(0xC0, 0x180),
+        "Greek": range(0x3B1, 0x3CA),
+        "Cyrillic": range(0x400, 0x460),
+    }
+    for name, codes in names.items():
+        assert not {chr(code) for code in codes} - {chr(code) for code in letters}, name
 
 
 def test_many_steps_stay_small() -> None:

@@ -20,10 +20,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from matplotlib.image import imread
 
 from arm_record import arm_plan
-from headless import SPATIAL, browse, pixels, shoot
+from headless import SPATIAL, browse, pixels, read_picture, shoot
 from learn2assemble.errors import InputError
 from learn2assemble.planning.plan import Plan, PlanTarget, SearchReport, SearchStage
 from learn2assemble.viewer.html import to_json
@@ -254,7 +253,7 @@ def test_percent_never_rounds_up_to_all() -> None:
 
 def test_picture_has_its_size_and_colours(tmp_path: Path, plan: Plan) -> None:
     write_progress(plan, tmp_path / "progress.png")
-    image = imread(tmp_path / "progress.png")
+    image = read_picture(tmp_path / "progress.png")
     assert image.shape[:2] == (800, 1440)
     wood = (image[..., 0] > 1.3 * image[..., 2]).reshape(2, 400, 3, 480).mean((1, 3)).ravel()
     assert wood[0] > 0.02

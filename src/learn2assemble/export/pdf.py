@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from functools import lru_cache
 from typing import Any, cast
 
 import numpy as np
@@ -18,6 +19,7 @@ from learn2assemble.export.pictures import (
     booklet,
     shape_words,
 )
+from learn2assemble.fonts import font_file
 
 _WIDTH, _HEIGHT = 595.28, 841.89
 """A4 [pt]."""
@@ -49,14 +51,33 @@ def pdf(assembly: Assembly) -> bytes:
     out = io.BytesIO()
     # Without the time of day, equal instructions are equal files.
     canvas = Canvas(out, pagesize=(_WIDTH, _HEIGHT), pageCompression=1, invariant=1)
-    canvas.setTitle(_plain(book.title))
+    canvas.setTitle(book.title)
     _Pages(canvas, book).all()
     return out.getvalue()
 
 
-def _plain(text: str) -> str:
-    """What the built-in fonts of PDF have no letters for is replaced."""
-    return text.encode("cp1252", "replace").decode("cp1252")
+@lru_cache(maxsize=2)
+def _own_font(bold: bool) -> tuple[str, frozenset[int]]:
+    """The name of the font that is put into a PDF, and the letters that it has."""
+    from reportlab.pdfbase.pdfmetrics import (
+        registerFont,  # pyright: ignore[reportUnknownVariableType]
+    )
+    from reportlab.pdfbase.ttfonts import TTFont
+
+    font = TTFont("DejaVuSans-Bold" if bold else "DejaVuSans", str(font_file(bold)))
+    registerFont(font)
+    return str(font.fontName), frozenset(font.face.charToGlyph)
+
+
+def _written(text: str, bold: bool = False) -> tuple[str, str]:
+    """A text and the font it is written in: one that every PDF has, where that has all letters of
+    it; what ours has no letters for either is replaced."""
+    try:
+        text.encode("cp1252")
+    except UnicodeEncodeError:
+        font, letters = _own_font(bold)
+        return "".join(one if ord(one) in letters else "?" for one in text), font
+    return text, "Helvetica-Bold" if bold else "Helvetica"
 
 
 def _scale(picture: Picture, width: float, height: float) -> float:
@@ -134,21 +155,22 @@ class _Pages:
         side: str = "left",
         bold: bool = False,
     ) -> None:
-        self.canvas.setFont("Helvetica-Bold" if bold else "Helvetica", size)
+        text, font = _written(text, bold)
+        self.canvas.setFont(font, size)
         self.canvas.setFillColorRGB(*colour)
         draw = {
             "left": self.canvas.drawString,
             "middle": self.canvas.drawCentredString,
             "right": self.canvas.drawRightString,
         }[side]
-        draw(x, y, _plain(text))
+        draw(x, y, text)
 
     def _wrapped(self, text: str, width: float, size: float) -> list[str]:
         from reportlab.lib.utils import (
             simpleSplit,  # pyright: ignore[reportUnknownVariableType]
         )
 
-        return cast("list[str]", simpleSplit(_plain(text), "Helvetica", size, width))
+        return cast("list[str]", simpleSplit(*_written(text), size, width))
 
     def _paragraph(self, text: str, size: float = 9.0) -> None:
         for line in self._wrapped(text, _WIDTH - 2 * _EDGE, size):

@@ -12,6 +12,7 @@ import numpy as np
 from learn2assemble.assembly.instructions.appearance import millimetres
 from learn2assemble.errors import InputError
 from learn2assemble.files import as_path, check_new, write_file
+from learn2assemble.fonts import font_of
 from learn2assemble.jobs.build import cells_of
 
 if TYPE_CHECKING:
@@ -89,14 +90,11 @@ def draw(design: CellDesign) -> bytes:
 
     Each section is through the middle of the layer with most cells to fill; all have one scale.
     """
-    import matplotlib
-    from PIL import Image, ImageDraw, ImageFont
+    from PIL import Image, ImageDraw
 
     size = np.array(design.wanted.shape) * design.cell
     scale = SIDE / float(size.max())
-    # Pillow's own font lacks the letters of many names.
-    font = Path(matplotlib.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")
-    large, small = (ImageFont.truetype(str(font), size) for size in (18, 13))
+    large, small = font_of(18), font_of(13)
     layers = [busiest(design.wanted, view.through) for view in VIEWS]
     below = [
         f"{view.name}: layer {layer + 1} of {design.wanted.shape[view.through]} "

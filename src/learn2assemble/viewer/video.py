@@ -7,19 +7,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, cast
 
-import matplotlib
 import numpy as np
 import shapely
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
 from learn2assemble.assembly.instructions.appearance import rgb
 from learn2assemble.errors import InputError, extra
 from learn2assemble.files import replacing
+from learn2assemble.fonts import font_of
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_matrix
 from learn2assemble.kinematics.shape import LinkPart, Mesh, box
 from learn2assemble.motion.record import BuildRecord
@@ -41,13 +40,6 @@ from learn2assemble.viewer.words import clock_words, stage_words
 
 if TYPE_CHECKING:
     from learn2assemble.viewer.renderer import Buffers, Camera, Light, Triangles
-
-
-@lru_cache(maxsize=16)
-def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
-    """``size``: height of the font [px]."""
-    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-    return ImageFont.truetype(str(Path(matplotlib.get_data_path(), "fonts", "ttf", name)), size)
 
 
 WIDTH, HEIGHT = 800, 544
@@ -280,8 +272,8 @@ class Frames:
             anchor: str = "ls",
         ) -> float:
             """A line of text with its base line at row ``y``; where it ends [px]."""
-            draw.text((x, y), text, colour, _font(size, bold), anchor)
-            return x + draw.textlength(text, _font(size, bold))
+            draw.text((x, y), text, colour, font_of(size, bold), anchor)
+            return x + draw.textlength(text, font_of(size, bold))
 
         write(" ".join(self.plan.design.name.split()), 24, 42, 24, INK, bold=True)
         write(

@@ -19,7 +19,12 @@ from typing import Any
 from learn2assemble.errors import InputError, extra, look_up
 from learn2assemble.files import as_path, check_exists, replacing
 from learn2assemble.tasks.networks.agent_fetch import ENDING, fetched_folder, listed_agents
-from learn2assemble.tasks.networks.agent_file import described, read_description
+from learn2assemble.tasks.networks.agent_file import (
+    PACKED,
+    content_of,
+    described,
+    read_description,
+)
 from learn2assemble.tasks.networks.config import NETWORKS, NetworkConfig
 from learn2assemble.tasks.networks.placement import PlacementNetwork, PlacementValues
 from learn2assemble.tasks.networks.qnetwork import QFactors, QNetwork
@@ -28,7 +33,7 @@ with extra("torch", "learn"):
     import torch
 with extra("safetensors", "learn"):
     from safetensors import SafetensorError
-    from safetensors.torch import load_file, save_file  # pyright: ignore[reportUnknownVariableType]
+    from safetensors.torch import load, save_file  # pyright: ignore[reportUnknownVariableType]
 
 Network = QNetwork | PlacementNetwork
 Values = QFactors | PlacementValues
@@ -85,8 +90,13 @@ def agent_files() -> dict[str, Path]:
     """Name and weights of the agents there are by name: those of the package, those of a checkout,
     and those that were fetched."""
     folders = fetched_folder(), REPOSITORY, PRETRAINED
-    files = [f for folder in folders for f in folder.glob(f"*{ENDING}")]
-    return {f.stem: f for f in sorted(files, key=lambda f: f.stem)}
+    files = {
+        f.name.removesuffix(ending).removesuffix(ENDING): f
+        for folder in folders
+        for ending in ("", PACKED)
+        for f in folder.glob(f"*{ENDING}{ending}")
+    }
+    return {name: files[name] for name in sorted(files)}
 
 
 def agent_info(name: str) -> Mapping[str, Any]:
@@ -180,7 +190,7 @@ def load_agent(name_or_path: str | Path) -> Agent:
     path = as_path(name_or_path, "agent")
     if path.is_dir():
         path = path / "agent.safetensors"
-    if path.suffix != ENDING:
+    if path.suffix not in (ENDING, PACKED):
         if len(path.parts) > 1:  # No agent's name: a file or folder that is misspelt.
             check_exists(path, "file or folder of an agent")
         path = _named(str(name_or_path))
@@ -189,7 +199,7 @@ def load_agent(name_or_path: str | Path) -> Agent:
         if info["format"] != FORMAT:
             raise ValueError(f"format {info['format']!r}")
         network = make_network(NetworkConfig(**info["network"]))
-        weights = load_file(path)
+        weights = load(content_of(path))
         for key, value in weights.items():
             if not value.isfinite().all():
                 raise ValueError(f"{key} holds numbers that are not finite")

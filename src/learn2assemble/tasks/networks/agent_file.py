@@ -9,6 +9,7 @@ without PyTorch.
 from __future__ import annotations
 
 import json
+import lzma
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -17,7 +18,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.files import MAX_BYTES, check_exists, decoded
 from learn2assemble.values import load_json, mapping
 
-KEY = "agent"
+KEY, PACKED = "agent", ".xz"
 _WORDS = "__metadata__"
 _LENGTH = 8
 
@@ -33,7 +34,7 @@ def read_description(file: Path) -> Mapping[str, Any]:
     Raises:
         InputError: for a file that does not exist, or has no description.
     """
-    header = _header(_content(file, MAX_BYTES), file)
+    header = _header(content_of(file, MAX_BYTES), file)
     words = header.get(_WORDS)
     text = cast("dict[str, object]", words).get(KEY) if isinstance(words, dict) else None
     if not isinstance(text, str):
@@ -47,7 +48,7 @@ def bare_weights(file: Path) -> bytes:
     Raises:
         InputError: for what is no file of an agent.
     """
-    content = _content(file)
+    content = content_of(file)
     header = dict(_header(content, file))
     header.pop(_WORDS, None)
     text = json.dumps(header, separators=(",", ":")).encode()
@@ -55,14 +56,20 @@ def bare_weights(file: Path) -> bytes:
     return len(text).to_bytes(_LENGTH, "little") + text + content[_end(content) :]
 
 
-def _content(file: Path, most: int = -1) -> bytes:
-    """The bytes of a file, or its first ``most``."""
+def content_of(file: Path, most: int = -1) -> bytes:
+    """The bytes of the file of an agent, unpacked, or the first ``most``.
+
+    Raises:
+        InputError: for a file that cannot be read.
+    """
     check_exists(file, "file of an agent")
     try:
-        with file.open("rb") as stream:
+        with lzma.open(file) if file.suffix == PACKED else file.open("rb") as stream:
             return stream.read(most)
     except OSError as error:
         raise _refused(file, error.strerror or "unreadable") from None
+    except (lzma.LZMAError, EOFError) as error:
+        raise _refused(file, str(error)) from None
 
 
 def _end(content: bytes) -> int:
