@@ -20,7 +20,7 @@ from learn2assemble.cell.bricks import BrickStates, BrickStructure
 from learn2assemble.cell.site import Site
 from learn2assemble.cell.site_arms import SiteArm
 from learn2assemble.cell.workcell import Offset, StepOf, Workcell
-from learn2assemble.cell.world import WorkcellBlocks, moves, rows_of, supply_of
+from learn2assemble.cell.world import LOST, WorkcellBlocks, moves, rows_of, supply_of
 from learn2assemble.errors import InputError
 from learn2assemble.handling.dry_run import _put_home
 from learn2assemble.handling.dynamic_cell import DynamicCell
@@ -386,6 +386,21 @@ def test_an_arm_waits_above_what_it_takes_next(stair: Ordered) -> None:
     assert found is not None
     assert found.placed
     np.testing.assert_allclose(found.step[:2], (world.target(2) - world.target(3))[:2])
+
+
+def test_what_one_arm_puts_right_is_left_to_it(stair: Ordered) -> None:
+    """A brick that lies in the way of others is carried off by one arm, not by both."""
+    plan, order, members = stair
+    both = Together(gather(plan, members, Workcell("panda", "gripper"), 0.0, order), DynamicPlant)
+    known = both.buildings[0].known
+    known.order, world = order, known.world
+    world.state[3], world.pose[3] = LOST, world.target(0)
+    action = known.choose()
+    assert isinstance(action, Action)
+    assert (action.block, action.what) == (3, "away")
+    known.elsewhere = {3}
+    action = known.choose()
+    assert isinstance(action, str) or action is None or action.block != 3
 
 
 def world_source(building: Building, k: int) -> int:

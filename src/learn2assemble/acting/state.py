@@ -273,11 +273,13 @@ class Choice:
     # ------------------------------------------------------------ repair
 
     def _repair(self) -> Action | None:
-        """What has to be put right first."""
+        """What has to be put right first; what another arm does that for is its own."""
         world, standing = self.world, self.standing()
-        wrong = [k for k in sorted(standing - self.accepted) if self._wrong(k)]
+        wrong = [k for k in sorted(standing - self.accepted - self.elsewhere) if self._wrong(k)]
         for k in wrong:
             top = next(iter(self.structure.loads(k, standing & self._together(k))), k)
+            if top in self.elsewhere:
+                continue
             whole = self._bed(top) <= standing | self.accepted
             if top == k and whole and self._left(k, "again") > 2 * TRIES:
                 return Action(k, self.fitted(k), "again")
@@ -286,7 +288,8 @@ class Choice:
                 return action
             self.accepted.add(k)  # Nothing helps: it stays as it is.
         for k in range(len(world.pieces)):
-            if world.state[k] in (LOOSE, LOST) and self._in_the_way(k):
+            lies = world.state[k] in (LOOSE, LOST) and k not in self.elsewhere
+            if lies and self._in_the_way(k):
                 action = self._away(k) if self._left(k, "away") > TRIES else ""
                 if isinstance(action, Action):
                     return action
