@@ -261,8 +261,9 @@ def _preview(options: argparse.Namespace, output: Output) -> int:
     shape, cells = list(found.wanted.shape), int(found.wanted.sum())
     common, note = _reading(found.iou, found.note)
     output.say(f"{found.name}: {' × '.join(map(str, shape))} cells, {cells} to fill{common}")
-    if note:
-        output.paragraph(note)
+    unread = found.not_read and f"warning: {found.source}: {found.not_read}"
+    for words in filter(None, (note, unread)):
+        output.paragraph(words)
     output.say(f"preview: {options.preview}")
     output.finish(
         {
@@ -270,9 +271,7 @@ def _preview(options: argparse.Namespace, output: Output) -> int:
             "shape": shape,
             "cells_wanted": cells,
             "cell": list(found.cell),
-            "iou": found.iou,
-            "volume_error": found.volume_error,
-            "note": found.note,
+            **{k: getattr(found, k) for k in ("iou", "volume_error", "note", "not_read")},
             "files": {"preview": str(options.preview)},
         }
     )
