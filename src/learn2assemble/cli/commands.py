@@ -392,7 +392,7 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path], compiled: fl
         output.say(
             f"{made.moves} {moves} (no order without help has fewer than {made.moves_bound})"
         )
-        output.say(f"{made.kept} blocks stay, {made.taken} are taken away, {made.placed} placed")
+        output.say(f"blocks: {made.kept} stay, {made.taken} are taken away, {made.placed} placed")
     if plan.steps and plan.margin_g is not None:
         left = plan.without_margin
         output.paragraph(f"every step is proven; the weakest is {weakest_words(plan)}")
