@@ -351,3 +351,13 @@ def test_a_mesh_that_says_no_unit_is_not_taken_for_one_in_metres(
     assert main(["export", str(file), "--format", "bill", "--out", str(tmp_path / "b.csv")]) == 2
     assert "does not say its unit" in capsys.readouterr().err
     assert sorted(tmp_path.iterdir()) == [file]
+
+
+@pytest.mark.parametrize("name", ["bench.txt", "arch.ldr"])
+def test_it_is_said_that_mujoco_gets_no_joints_of_studs(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = str(Path(__file__).parents[1] / "examples" / "bricks" / name)
+    for format, warns in (("mjcf", True), ("glb", False)):
+        assert main(["export", file, "--format", format, "--out", str(tmp_path)]) == 0
+        assert ("joints of studs or mortar are not in it" in capsys.readouterr().out) == warns

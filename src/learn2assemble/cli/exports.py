@@ -80,6 +80,9 @@ def _export(options: argparse.Namespace, output: Output) -> None:
     output.say(f"{options.format}: {written}")
     if left := unbuilt_words(assembly):
         output.paragraph(f"blocks: {left}")
+    if options.format == "mjcf" and assembly.holds:
+        words = "joints of studs or mortar are not in it: there the blocks are dry, and may fall"
+        output.paragraph(f"warning: {words}")
     left_out = list(assembly.not_built)
     output.finish({"format": options.format, "file": str(written), "not_built": left_out})
 
