@@ -431,7 +431,7 @@ BAD = [
     BadCall(
         "check a mesh without a unit",
         ["check", ARCH],
-        "unit: got None, expected mm, cm, m or in: the file does not say it",
+        f"unit: got None, expected mm, cm, m or in: {ARCH} does not say it",
     ),
     BadCall("check a mesh on its edge", ["check", ARCH, "--unit", "mm", "--up", "w"], "--up"),
     BadCall(

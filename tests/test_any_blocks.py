@@ -558,7 +558,7 @@ def test_blocks_that_no_face_lets_the_tool_hold_are_named_before_planning(
         check_held(get_arm("ur5e", "gripper"), pieces_of(slats), studs=0.008)
     check_held(UR5E, pieces_of(Assembly(wall)))
     heavy = dataclasses.replace(wall[0], density=20_000.0)
-    with pytest.raises(InputError, match=r"sill: 10\.00 kg is too heavy"):
+    with pytest.raises(InputError, match=r"sill: 10 kg is too heavy"):
         l2a.build(Assembly((heavy,)), arm="panda")
 
 

@@ -51,6 +51,14 @@ def letter() -> np.ndarray:
     return wanted
 
 
+def hook() -> np.ndarray:
+    """A part hangs from a beam: only hands put it there, which help unasked."""
+    wanted = np.zeros((6, 2, 4), bool)
+    wanted[:2] = wanted[:, :, 3] = True
+    wanted[4:, :, 2] = True
+    return wanted
+
+
 def filled(plan: Plan, shape: tuple[int, int, int]) -> np.ndarray:
     """How many blocks are in every cell, from their corners."""
     assert plan.assembly is not None
@@ -66,7 +74,7 @@ def filled(plan: Plan, shape: tuple[int, int, int]) -> np.ndarray:
     return count
 
 
-@pytest.mark.parametrize("make", [corbel, tree, letter])
+@pytest.mark.parametrize("make", [corbel, tree, letter, hook])
 def test_what_dry_blocks_do_not_hold_is_built(make) -> None:
     wanted = make()
     plan = l2a.build(wanted, kit="lego")

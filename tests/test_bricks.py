@@ -219,7 +219,11 @@ BAD = {
     "turned": (line(turn="0.8 0 0.6 0 1 0 -0.6 0 0.8"), "turned by quarters"),
     "scaled": (line(turn="2 0 0 0 1 0 0 0 1"), "turned by quarters"),
     "twice": (line() + line(at="20 -24 0"), "overlap"),
-    "colour": (line().replace("1 4 ", "1 47 ") + line(), "opaque colour, nearest 31"),
+    "colour": (line().replace("1 4 ", "1 47 ") + line(), "opaque colour, as 15"),
+    "no colour": (line().replace("1 4 ", "1 9999 ") + line(), "opaque colour, or 0x2RRGGBB"),
+    "no submodel": (line() + line("roof.ldr"), "a submodel that is in the same file"),
+    "no number": ("0 title\n" + line().replace(" 0 ", " nan ", 1), "line 2"),
+    "few numbers": ("0 title\n1 4 0 0 0 3001.dat\n", "line 2"),
     "numbers": (line() + "1 4 0 a 0 1 0 0 0 1 0 0 0 1 3001.dat\n", "twelve numbers"),
     "nan": (line() + "1 4 0 nan 0 1 0 0 0 1 0 0 0 1 3001.dat\n", "numbers up to"),
     "short": (line() + "1 4 0 0 0 3001.dat\n", "1 colour x y z"),
@@ -252,6 +256,7 @@ JSON_BAD = {
     "zero": ({"bricks": [{"size": [0, 2], "at": [0, 0, 0]}]}, "from 1"),
     "mass": ({"bricks": [{"size": [2, 2], "at": [0, 0, 0], "mass": -1}]}, "a mass"),
     "id": ({"1": {"x": 0, "y": 0, "z": 0, "brick_id": 77, "ori": 0}}, "brick_id"),
+    "turn": ({"1": {"x": 0, "y": 0, "z": 0, "brick_id": 9, "ori": 7}}, "ori: got 7"),
 }
 
 

@@ -1011,6 +1011,7 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "bomb.npz": (_zip_bomb(), {}, "values"),
     "cut.npz": (npz(wanted=GATE)[:-30], {}, "ZIP"),
     "other.npz": (npz(a=GATE, b=GATE), {}, "wanted"),
+    "misspelt.npz": (npz(wanted=GATE, colurs=GATE), {}, "did you mean 'colours'"),
     "cell.npz": (npz(wanted=GATE, cell=np.array([np.nan])), {}, "cell"),
     "packed.npy": (gzip.compress(npy(GATE)), {}, "gzip"),
     "bomb.json": (gzip.compress(bytes(30_000_000)), {}, "gzip"),

@@ -340,3 +340,24 @@ def test_unknown_format_names_the_nearest(bridge: Assembly, tmp_path: Path) -> N
     with pytest.raises(UnknownNameError, match="did you mean 'mjcf'"):
         export_assembly(bridge, "mjfc", tmp_path / "x")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_mesh_that_says_no_unit_is_not_taken_for_one_in_metres(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "box.stl"
+    box = trimesh.creation.box((100, 100, 100))
+    box.apply_translation((0, 0, 50)).export(file)
+    assert main(["export", str(file), "--format", "bill", "--out", str(tmp_path / "b.csv")]) == 2
+    assert "does not say its unit" in capsys.readouterr().err
+    assert sorted(tmp_path.iterdir()) == [file]
+
+
+@pytest.mark.parametrize("name", ["bench.txt", "arch.ldr"])
+def test_it_is_said_that_mujoco_gets_no_joints_of_studs(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = str(Path(__file__).parents[1] / "examples" / "bricks" / name)
+    for format, warns in (("mjcf", True), ("glb", False)):
+        assert main(["export", file, "--format", format, "--out", str(tmp_path)]) == 0
+        assert ("joints of studs or mortar are not in it" in capsys.readouterr().out) == warns

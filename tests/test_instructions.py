@@ -233,6 +233,20 @@ def test_mirror_images_are_two_shapes() -> None:
     assert [line.built for line in bill] == [2, 1]
 
 
+def test_triangles_in_one_plane_are_drawn_as_one_face() -> None:
+    """Between two drawn side by side, what is behind shows as a hairline."""
+    whole = box_block("whole", (0, 0, 0), (0.3, 0.1, 0.2))
+    halves = tuple(part for a, b, c, d in whole.faces for part in ((a, b, c), (a, c, d)))
+    cut = Block("cut", whole.vertices, halves)
+    (figure,), (same,) = (
+        DrawnScene(instructions(Assembly((block,)))).figures for block in (cut, whole)
+    )
+    assert len(figure.faces) == len(same.faces) == 3
+    for (face, light), (other, like) in zip(figure.faces, same.faces, strict=True):
+        assert light == pytest.approx(like)
+        assert np.sort(face, axis=0) == pytest.approx(np.sort(other, axis=0))
+
+
 def test_what_is_not_built_is_not_told_to_stand() -> None:
     """Two of nine wedges stand; the other seven hang over nothing."""
     whole = arch(9)

@@ -18,7 +18,7 @@ from cell_shapes import wall
 from learn2assemble.acting.carry_out import Workcell, carry_out
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError
-from learn2assemble.export.place_words import in_base, plain
+from learn2assemble.export.place_words import in_base, place_rows, plain, preparation
 from learn2assemble.export.robot_programs import export_program, read_program, replay_program
 from learn2assemble.export.urscript import planned_frame, write_urscript
 from learn2assemble.geometry.rotations import quaternion_product, yaw_quaternion
@@ -138,6 +138,21 @@ def test_a_person_can_prepare_from_the_beginning_of_a_script(
     assert "empty at the start; REFILL" in told
     assert "l2a_factor = 0.25 of the planned speed" in told
     assert "within 2.9" in told
+
+
+def test_places_of_blocks_without_a_kind_are_told_apart(record: BuildRecord) -> None:
+    """Two shapes that both are called block are told by their size: on the terminal, in a script."""
+    nameless = replace(record, kinds=("",) * len(record.kinds))
+    arm = arm_of(record.arm)
+    program = make_program(nameless, arm)
+    rows = place_rows(program, arm)
+    told = "\n".join(preparation(program, arm, ProgramSettings(), "hand", 1))
+    for place, row in zip(program.places, rows, strict=True):
+        size = " x ".join(f"{1000 * v:.1f}" for v in place.size)
+        assert row[1] == f"block {size}"
+        assert f"place {place.number}: {len(place.blocks)} of block {size}, step" in told
+        assert f": block {size} from place {place.number}" in told
+    assert len({row[1] for row in rows}) == len({tuple(place.size) for place in program.places})
 
 
 def test_places_move_with_a_taught_work_plane(

@@ -142,6 +142,20 @@ def test_a_mesh_without_a_unit_is_told_what_fits(tmp_path: Path) -> None:
     assert cells(drawing, unit="in", cell=0.4).wanted.shape == (2, 1, 1)
 
 
+@pytest.mark.parametrize("said", [{"unit": "mm"}, {"unit": "cm"}, {"cells_wide": 32}])
+def test_no_size_is_named_in_which_nothing_of_it_is_half_a_cell(
+    tmp_path: Path, said: dict[str, object]
+) -> None:
+    # A shell of 1 unit: in every size that fits the lattice its walls are a fifth of a cell.
+    hollow = trimesh.creation.box((300, 300, 300))
+    inside = trimesh.creation.box((298, 298, 298))
+    inside.invert()
+    shell = save(trimesh.util.concatenate([hollow, inside]), tmp_path / "shell.stl")
+    with pytest.raises(InputError, match="half full") as caught:
+        read_design(shell, **said)
+    assert not caught.value.remedies
+
+
 @pytest.mark.parametrize(
     ("said", "words"),
     [

@@ -10,11 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from learn2assemble.acting.carry_out import carry_out, prepare
 from learn2assemble.acting.state import Action, Choice
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, hull_block
 from learn2assemble.assembly.boxes import box_block
+from learn2assemble.assembly.files import read_assembly
 from learn2assemble.assembly.instructions.steps import instructions
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cell.site import Magazine, Pallet, Pose, Site
@@ -334,6 +336,20 @@ def test_the_command_line_turns_a_plan_into_another(tmp_path, capsys):
     assert len(told.start) == int(sum(standing(made).at_first))
     needed = sum(line.built for line in told.bill)
     assert made.rebuilt.supplied <= needed <= made.rebuilt.placed
+
+
+def test_an_old_mesh_has_the_unit_of_the_design_where_it_says_none(tmp_path):
+    for name, high in (("old", 100), ("new", 0)):
+        folder = tmp_path / name
+        folder.mkdir()
+        for k, low in enumerate(((0, 0, 0), (100 - high, 0, high))):
+            box = trimesh.creation.box((50, 50, 100))
+            box.apply_translation((*low[:2], low[2] + 50)).export(folder / f"b{k}.stl")
+    plan = build(tmp_path / "new", old=tmp_path / "old", unit="mm", supports="none")
+    assert plan.rebuilt is not None
+    assert (plan.rebuilt.moves, plan.rebuilt.kept) == (1, 1)
+    with pytest.raises(InputError, match=r"unit: got None.*old.* does not say it"):
+        build(read_assembly(tmp_path / "new", unit="mm"), old=tmp_path / "old")
 
 
 def test_a_drawing_is_filled_with_the_blocks_of_the_old_structure() -> None:

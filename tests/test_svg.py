@@ -149,16 +149,17 @@ def test_what_is_not_read_is_named(body: str, said: str | None) -> None:
 
 
 def test_what_is_not_read_is_in_the_report(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    """On the terminal, in --json, in the plan and on the page."""
+    """On the terminal, in --json, in the plan and on the page, and where one only looks first."""
     from learn2assemble.cli import main
 
     path = tmp_path / "gate.svg"
     path.write_bytes(_page(GATE + "<text>gate</text>", 'width="60cm" viewBox="0 0 60 50"'))
-    assert main(["build", str(path), "--out", str(tmp_path / "out"), "--json"]) == 0
-    shown = capsys.readouterr()
     said = "not read: 1 text: convert them to paths"
-    assert f"warning: {path}: {said}" in " ".join(shown.err.split())
-    assert json.loads(shown.out.splitlines()[-1])["not_read"] == said
+    for asked in (("--out", "out"), ("--preview", "look.png")):
+        assert main(["build", str(path), asked[0], str(tmp_path / asked[1]), "--json"]) == 0
+        shown = capsys.readouterr()
+        assert f"warning: {path}: {said}" in " ".join(shown.err.split())
+        assert json.loads(shown.out.splitlines()[-1])["not_read"] == said
     for name in ("plan.json", "view.html"):
         assert said in (tmp_path / "out" / name).read_text(encoding="utf-8")
     path.write_bytes(_page("<text>gate</text>"))

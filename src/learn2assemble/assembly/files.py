@@ -267,7 +267,7 @@ def _mesh_blocks(
         meshes = "a mesh (STL, OBJ, PLY, OFF, GLB)"
         raise InputError(source, got, f"JSON, LDraw, brick text (as 4x2 (0,0,0)) or {meshes}")
     if unit is None and kind != "glb":
-        raise InputError("unit", None, "mm, cm, m or in: the file does not say it")
+        raise InputError("unit", None, f"mm, cm, m or in: {source} does not say it")
     objects = list[tuple[str, np.ndarray, list[list[int]]]]()
     grouped = groups_as_objects(content, source) if kind == "obj" else None
     for part in read_parts(content if grouped is None else grouped, kind, source):

@@ -261,8 +261,9 @@ def _preview(options: argparse.Namespace, output: Output) -> int:
     shape, cells = list(found.wanted.shape), int(found.wanted.sum())
     common, note = _reading(found.iou, found.note)
     output.say(f"{found.name}: {' × '.join(map(str, shape))} cells, {cells} to fill{common}")
-    if note:
-        output.paragraph(note)
+    unread = found.not_read and f"warning: {found.source}: {found.not_read}"
+    for words in filter(None, (note, unread)):
+        output.paragraph(words)
     output.say(f"preview: {options.preview}")
     output.finish(
         {
@@ -270,9 +271,7 @@ def _preview(options: argparse.Namespace, output: Output) -> int:
             "shape": shape,
             "cells_wanted": cells,
             "cell": list(found.cell),
-            "iou": found.iou,
-            "volume_error": found.volume_error,
-            "note": found.note,
+            **{k: getattr(found, k) for k in ("iou", "volume_error", "note", "not_read")},
             "files": {"preview": str(options.preview)},
         }
     )
@@ -393,7 +392,7 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path], compiled: fl
         output.say(
             f"{made.moves} {moves} (no order without help has fewer than {made.moves_bound})"
         )
-        output.say(f"{made.kept} blocks stay, {made.taken} are taken away, {made.placed} placed")
+        output.say(f"blocks: {made.kept} stay, {made.taken} are taken away, {made.placed} placed")
     if plan.steps and plan.margin_g is not None:
         left = plan.without_margin
         output.paragraph(f"every step is proven; the weakest is {weakest_words(plan)}")

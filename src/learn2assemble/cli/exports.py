@@ -68,11 +68,21 @@ def _export(options: argparse.Namespace, output: Output) -> None:
             raise InputError(f"--{word.replace('_', '-')}", got, "the format urscript")
     # Whose file is there is looked at before anything is read.
     file = check_target(options.plan, options.format, options.out, overwrite=options.overwrite)
-    assembly = read_assembly(options.plan)
+    try:
+        assembly = read_assembly(options.plan, unit=None)
+    except InputError as error:
+        if error.what != "unit":
+            raise
+        got = f"{options.plan}, which does not say its unit"
+        way = "l2a build --blocks --unit makes of others"
+        raise InputError("PLAN", got, f"a file that does, or the plan that {way}") from None
     written = export_assembly(assembly, options.format, file, overwrite=options.overwrite)
     output.say(f"{options.format}: {written}")
     if left := unbuilt_words(assembly):
         output.paragraph(f"blocks: {left}")
+    if options.format == "mjcf" and assembly.holds:
+        words = "joints of studs or mortar are not in it: there the blocks are dry, and may fall"
+        output.paragraph(f"warning: {words}")
     left_out = list(assembly.not_built)
     output.finish({"format": options.format, "file": str(written), "not_built": left_out})
 

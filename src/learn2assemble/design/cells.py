@@ -84,6 +84,10 @@ class CellDesign:
         return label if np.ptp(label[self.wanted]) else None
 
 
+class NothingToFillError(InputError):
+    """No cell of a design is half full."""
+
+
 @dataclass(frozen=True)
 class Origin:
     """Where a design comes from, and how it is read."""
@@ -121,7 +125,7 @@ def design_of(
     wanted = np.asarray(share >= HALF)
     if not wanted.any():
         edges = " x ".join(f"{edge:g}" for edge in cell)
-        raise InputError(
+        raise NothingToFillError(
             source,
             f"a design of which no cell of {edges} m is half full",
             "something to build (a smaller cell, a larger size?)",

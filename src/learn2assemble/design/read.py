@@ -15,7 +15,13 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.instructions.appearance import millimetres
 from learn2assemble.design import drawings, solids
-from learn2assemble.design.cells import CellDesign, Origin, design_of, floating
+from learn2assemble.design.cells import (
+    CellDesign,
+    NothingToFillError,
+    Origin,
+    design_of,
+    floating,
+)
 from learn2assemble.design.dxf import read_dxf
 from learn2assemble.design.elevations import from_drawing, upright
 from learn2assemble.design.files import DesignFile, open_design
@@ -34,7 +40,7 @@ from learn2assemble.design.reading import (
 )
 from learn2assemble.design.solids import Solid, Voxels
 from learn2assemble.design.svg.walk import read_svg
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, Remedy
 from learn2assemble.files import UNITS
 
 if TYPE_CHECKING:
@@ -167,9 +173,32 @@ def _cells(
 
     def reader(file: DesignFile, kit: Kit | None, reading: Mapping[str, Any]) -> CellDesign:
         given = _reading(file.kind, kit, reading)
-        return read(file, Origin(given, file.name, file.source, given.kit))
+        origin = Origin(given, file.name, file.source, given.kit)
+        try:
+            return read(file, origin)
+        except NothingToFillError as error:
+            helps = [remedy for remedy in error.remedies if _fills(read, file, origin, remedy)]
+            raise NothingToFillError(error.what, error.got, error.expected, *helps) from None
 
     return reader
+
+
+def _fills(
+    read: Callable[[DesignFile, Origin], CellDesign],
+    file: DesignFile,
+    origin: Origin,
+    remedy: Remedy,
+) -> bool:
+    """Whether something is filled where a remedy is followed; what else is refused then does not
+    count."""
+    other = {"unit": None, "size": None, "cells_wide": None, remedy.argument: remedy.value}
+    try:
+        read(file, replace(origin, given=replace(origin.given, **other)))
+    except NothingToFillError:
+        return False
+    except InputError:
+        return True
+    return True
 
 
 def _elevations(file: DesignFile, origin: Origin) -> CellDesign:

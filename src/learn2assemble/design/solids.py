@@ -23,7 +23,7 @@ import numpy as np
 
 from learn2assemble.assembly.meshes import MeshPart, check_size, checked, read_parts
 from learn2assemble.design.holes import close_holes
-from learn2assemble.errors import InputError, MissingExtraError, Remedy
+from learn2assemble.errors import InputError, MissingExtraError, Remedy, check_name
 from learn2assemble.files import read_bytes
 from learn2assemble.geometry.crossings import find_crossing
 
@@ -328,6 +328,8 @@ def read_npz(content: bytes, source: str, limit: int) -> Voxels:
         arrays = {"wanted": arrays.popitem()[1]}
     if "wanted" not in arrays:
         raise InputError(f"{source}: arrays", sorted(arrays), "one called 'wanted', or only one")
+    for name in arrays:
+        check_name(f"{source}: array", name, ("wanted", "cell", "colours"))
     made = voxels_of(arrays["wanted"], arrays.get("colours"), source)
     cell, edges = arrays.get("cell"), None
     if cell is not None:

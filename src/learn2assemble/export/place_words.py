@@ -146,7 +146,7 @@ def place_rows(
     return [
         (
             str(place.number),
-            place.what,
+            _called(place),
             str(len(place.blocks)),
             _millimetres(place.centre),
             f"{_degrees(place.turn)}°",
@@ -262,6 +262,11 @@ def size_words(place: Lying) -> str:
     return " x ".join(f"{1000 * v:.1f}" for v in place.size)
 
 
+def _called(place: Lying) -> str:
+    """What lies at a place; blocks without a name of their kind are told apart by their size."""
+    return place.kind or f"{place.what} {size_words(place)}"
+
+
 def _places(program: Program, arm: Arm, settings: ProgramSettings, refill: str) -> list[str]:
     lines = [
         "x, y, z: middle of the block as it lies; turn: of its long side, from x about z.",
@@ -272,7 +277,7 @@ def _places(program: Program, arm: Arm, settings: ProgramSettings, refill: str) 
     for place, base in zip(program.places, seen, strict=True):
         count = len(place.blocks)
         lines += [
-            f"place {place.number}: {count} of {place.what}, step{'s' * (len(place.steps) > 1)} "
+            f"place {place.number}: {count} of {_called(place)}, step{'s' * (len(place.steps) > 1)} "
             f"{place.step_words}",
             f"  in the base:  {_named(base.centre)}, turn {_degrees(base.turn)}",
             f"  in the world: {_named(place.centre)}, turn {_degrees(place.turn)}",
@@ -335,7 +340,7 @@ def _order(program: Program) -> list[str]:
         many = f"step{'s' * (len(steps) > 1)} {ranges(steps)}"
         place = None if pick is None else program.places[pick - 1]
         where = "moves what the arm has put down before" if place is None else ""
-        where = where or f"{place.what if place else ''} from place {pick}"
+        where = where or f"{_called(place) if place else ''} from place {pick}"
         found.append(f"{many}: {where}")
     found += [
         f"{hand.words}, before step {program.steps[hand.after].number}"

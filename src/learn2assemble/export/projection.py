@@ -154,12 +154,10 @@ def _figure(block: Block, part: Block, knobs: np.ndarray, stud: float) -> Figure
     """
     corner = block.vertices.min(0)
     faces = list[tuple[np.ndarray, float]]()
-    for face in part.faces:
-        corners = part.vertices[list(face)]
-        normal = _normal(corners)
+    for normal, shape in _level_faces(part):
         if normal @ TOWARDS > 1e-6:
             light = 0.62 + 0.38 * max(float(normal @ _LIGHT / np.linalg.norm(_LIGHT)), 0.0)
-            faces.append((project(corners - corner), light))
+            faces.append((shape - project(corner), light))
     owners: dict[tuple[int, int], list[np.ndarray]] = {}
     for face in block.faces:
         normal = _normal(block.vertices[list(face)])
@@ -188,6 +186,30 @@ def _figure(block: Block, part: Block, knobs: np.ndarray, stud: float) -> Figure
     found = np.concatenate(points)
     frame = np.array([found.min(0), found.max(0)])
     return Figure(tuple(faces), tuple(edges), tuple(rims), frame)
+
+
+def _level_faces(part: Block) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Normals of the faces of a convex part, and the faces as they are drawn, ``float64[n, 2]``
+    [m]; faces in one plane, as the triangles of a mesh, are one: between two drawn side by side
+    what is behind would show as a hairline."""
+    planes: list[tuple[np.ndarray, list[np.ndarray]]] = []
+    for face in part.faces:
+        corners = part.vertices[list(face)]
+        normal = _normal(corners)
+        same = (found for level, found in planes if level @ normal > 1 - 1e-9)
+        if (found := next(same, None)) is None:
+            planes.append((normal, [project(corners)]))
+        else:
+            found.append(project(corners))
+    return [
+        (normal, shapes[0] if len(shapes) == 1 or normal @ TOWARDS <= 1e-6 else _around(shapes))
+        for normal, shapes in planes
+    ]
+
+
+def _around(shapes: list[np.ndarray]) -> np.ndarray:
+    points = np.concatenate(shapes)
+    return points[ConvexHull(points).vertices]
 
 
 def _far_first(parts: list[_ConvexPart]) -> list[int]:

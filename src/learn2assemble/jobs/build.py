@@ -21,13 +21,7 @@ from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.files import open_design
 from learn2assemble.design.goals import Goals
-from learn2assemble.errors import (
-    InputError,
-    check_arguments,
-    check_name,
-    is_number,
-    is_whole,
-)
+from learn2assemble.errors import InputError, check_arguments, check_name, is_number, is_whole
 from learn2assemble.jobs.kinds import (
     PHYSICS,
     PLANNED,
@@ -200,7 +194,7 @@ def build(
         agent = PLANNERS[planner].resolve_agent(agent)
     choice = PlannerChoice(planner or EXACT, agent, seed)
     how = None
-    standing = None if old is None else _read_old(old)
+    standing = None if old is None else _read_old(old, reading.get("unit"))
     if standing is not None:
         alone = "where a structure stands, nothing is held and no prop comes"
         check_arguments(
@@ -369,12 +363,17 @@ def arm_names(arm: Any) -> tuple[str, ...]:
     return tuple(arm)
 
 
-def _read_old(old: object) -> Assembly:
-    """A structure that stands, from what a caller gives."""
+def _read_old(old: object, unit: object) -> Assembly:
+    """A structure that stands, from what a caller gives; a mesh has the unit of the design."""
     from learn2assemble.assembly.files import read_assembly
 
     if isinstance(old, str | Path):
-        old = read_assembly(old)
+        try:
+            old = read_assembly(old, unit=None)
+        except InputError as error:
+            if error.what != "unit" or not isinstance(unit, str):
+                raise
+            return read_assembly(old, unit=unit)
     if not isinstance(old, Assembly):
         raise InputError("old", _called(old), "an assembly or its file")
     return old

@@ -455,7 +455,7 @@ class BrickOrder:
         hanging = rules.hanging()
         if hanging and not supports.hands:
             names = list_ids(self.blocks, hanging)
-            reason = f"{names} hang on bricks above: they have to come from below (`hands=`)"
+            reason = f"what hangs on bricks above has to come from below (`hands=`): {names}"
             return Sequenced(self.blocks, (), "refused", reason, tuple(hanging))
         found = depth_first(rules, clock, progress)
         if found.complete:

@@ -362,9 +362,9 @@ def why_not_held(arm: Arm, shape: Shape, mass: float, axis: np.ndarray | None = 
             return f"a block of {_size(shape)} mm has no stud for a socket"
         diameter = 1e3 * cup.cups[0].diameter
         return f"a block of {_size(shape)} mm is too small for a cup of {diameter:g} mm"
-    if cup is not None and mass > cup.payload:
+    if cup is not None and mass > cup.payload + 1e-3:  # Corners in a file are rounded.
         what = "socket" if cup.studs else "cup"
-        return f"{mass:.2f} kg is too heavy for a {what} that takes {cup.payload:g} kg"
+        return f"{mass:.4g} kg is too heavy for a {what} that takes {cup.payload:g} kg"
     return None
 
 

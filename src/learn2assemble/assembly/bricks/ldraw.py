@@ -23,8 +23,11 @@ MAX_NESTED = 32
 """Submodels within submodels."""
 _EXACT = 1e-3
 """How far a turn may be from a quarter, and a place from the lattice, in studs."""
-BEGIN = re.compile(rb"^\s*1[ \t]+\S+([ \t]+[-+.\deE]+){12}[ \t]+\S", re.MULTILINE)
-"""A line of a part, which every model has."""
+BEGIN = re.compile(
+    rb"^\s*1[ \t]+\S+(([ \t]+[-+.\deE]+){12}[ \t]+\S|[ \t][^\r\n]*\.(dat|ldr)\s*$)",
+    re.MULTILINE | re.IGNORECASE,
+)
+"""A line of a part, which every model has; one that ends in the name of a part may be damaged."""
 _TURNS = {
     False: "1 0 0 0 1 0 0 0 1",
     True: "0 0 1 0 1 0 -1 0 0",
@@ -232,8 +235,9 @@ def _colour(
     if code == MAIN:
         return main
     if code not in colours:
-        near = min(colours, key=lambda one: abs(one - code))
-        raise InputError(f"{line.where}: colour", code, f"an opaque colour, nearest {near}")
+        # The transparent colours of the first table are the opaque ones in the same order.
+        near = f", as {code - 32}" if 32 < code < 48 else ""
+        raise InputError(f"{line.where}: colour", code, f"an opaque colour{near}, or 0x2RRGGBB")
     return colours[code]
 
 

@@ -58,6 +58,8 @@ def size_of_part(name: str, where: str) -> tuple[int, int, int]:
     found = _NAME.fullmatch(plain)
     if found is not None and found[1] in SIZES:
         return SIZES[found[1]]
+    if plain.endswith((".ldr", ".mpd")):
+        raise InputError(f"{where}: part", name, "a submodel that is in the same file")
     stem = plain.rsplit("/", 1)[-1].removesuffix(".dat")
     near = difflib.get_close_matches(stem, SIZES, n=1, cutoff=0.0)
     known = ", ".join(f"{part}.dat ({part_words(part)})" for part in near)

@@ -87,6 +87,8 @@ def _of_library(row: Any, where: str, layers: int) -> Brick:
     x, y, z, kind, turned = (
         integer(brick.get(key), f"{where}.{key}") for key in ("x", "y", "z", "brick_id", "ori")
     )
+    if turned not in (0, 1):
+        raise InputError(f"{where}.ori", turned, "0, or 1 for a brick that is turned")
     across, along, mass = look_up(f"{where}.brick_id", str(kind), _LIBRARY)
     size = (along, across, layers) if turned == 1 else (across, along, layers)
     return Brick((x, y, layers * z), size, where, mass=mass)

@@ -101,7 +101,8 @@ def plan_brick_cells(
     assembly, found = _standing(tiler, design, kit, clock)
     planned = time.perf_counter() - started
     plan = plan_bricks(assembly, help_, clock, progress, found)
-    if (not plan.complete and plan.status != "refused") or "hang on" in (plan.reason or ""):
+    # Refused while all together stand: some hang.
+    if not plan.complete and (plan.status != "refused" or found.need.stands):
         hands = Supports(holds=max(help_.holds, 1), hands=True)
         more = plan_bricks(assembly, hands, clock, progress, found)
         plan = more if more.complete else plan
