@@ -275,9 +275,9 @@ def _places(program: Program, arm: Arm, settings: ProgramSettings, refill: str) 
     ]
     seen = in_base(program, arm, settings.base_frame)
     for place, base in zip(program.places, seen, strict=True):
-        count = len(place.blocks)
+        count, many = len(place.blocks), len(place.steps) > 1
         lines += [
-            f"place {place.number}: {count} of {_called(place)}, step{'s' * (len(place.steps) > 1)} "
+            f"place {place.number}: {count} of {_called(place)}, step{'s' * many} "
             f"{place.step_words}",
             f"  in the base:  {_named(base.centre)}, turn {_degrees(base.turn)}",
             f"  in the world: {_named(place.centre)}, turn {_degrees(place.turn)}",
