@@ -262,7 +262,7 @@ def size_words(place: Lying) -> str:
     return " x ".join(f"{1000 * v:.1f}" for v in place.size)
 
 
-def _called(place: Lying) -> str:
+def _called(place: PickPlace) -> str:
     """What lies at a place; blocks without a name of their kind are told apart by their size."""
     return place.kind or f"{place.what} {size_words(place)}"
 
