@@ -141,7 +141,7 @@ def test_a_person_can_prepare_from_the_beginning_of_a_script(
 
 
 def test_places_of_blocks_without_a_kind_are_told_apart(record: BuildRecord) -> None:
-    """Two shapes that both are called block are told by their size: on the terminal, in a script."""
+    """Two shapes that both are called block are told by their size."""
     nameless = replace(record, kinds=("",) * len(record.kinds))
     arm = arm_of(record.arm)
     program = make_program(nameless, arm)

@@ -277,8 +277,8 @@ def _places(program: Program, arm: Arm, settings: ProgramSettings, refill: str) 
     for place, base in zip(program.places, seen, strict=True):
         count = len(place.blocks)
         lines += [
-            f"place {place.number}: {count} of {_called(place)}, step{'s' * (len(place.steps) > 1)} "
-            f"{place.step_words}",
+            f"place {place.number}: {count} of {_called(place)}, "
+            f"step{'s' * (len(place.steps) > 1)} {place.step_words}",
             f"  in the base:  {_named(base.centre)}, turn {_degrees(base.turn)}",
             f"  in the world: {_named(place.centre)}, turn {_degrees(place.turn)}",
         ]
