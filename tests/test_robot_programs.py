@@ -988,7 +988,7 @@ FAULTS: dict[str, tuple[Callable[[str], str], str]] = {
         for rate in ("1e9", "0", "-1000", "NaN", "true", '"fast"')
     },
     "header without blocks": (lambda t: re.sub("# blocks:.*\n", "", t), "blocks"),
-    "nan": (cell_of(40, "q_elbow_joint", "nan"), "finite number"),
+    "nan": (cell_of(40, "q_elbow_joint", "nan"), "got nan, expected a finite number"),
     "word": (cell_of(40, "q_elbow_joint", "fast"), "numbers"),
     "time back": (cell_of(40, "time", "0.001"), "time"),
     "time twice": (cell_of(40, "time", "0.038"), "time"),

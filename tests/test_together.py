@@ -875,6 +875,12 @@ def test_a_bag_has_both_arms_on_one_clock(
         assert told == begins
     last = max(time for topic, time, _ in found if topic.endswith("/joint_states"))
     assert bag.seconds == pytest.approx(last / 1e9)
+    # Each counts its places from 1, so it is said whose they are.
+    assert {row[0] for row in bag.rows} == {
+        f"{name} {place.number}"
+        for name, program in zip(("ur5e", "panda"), together, strict=True)
+        for place in program.places
+    }
     frames = {t.child_frame_id for topic, _, m in found if topic[:3] == "/tf" for t in m.transforms}
     assert {"ur5e/tcp", "panda/tcp", "ur5e/base", "panda/panda_link0", "cell_0"} <= frames
     with pytest.raises(InputError, match="the programs of two arms"):

@@ -293,6 +293,8 @@ def listed(names: Sequence[object], most: int = 3) -> str:
 
 
 def _short(value: object, limit: int = 120) -> str:
+    if getattr(value, "shape", None) == () and (bare := getattr(value, "item", None)) is not None:
+        value = bare()  # A number of NumPy is shown as one of Python.
     text = repr(value).replace("\n", " ")
     return text if len(text) <= limit else text[: limit - 1] + "…"
 

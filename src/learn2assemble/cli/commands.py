@@ -355,10 +355,11 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path], compiled: fl
         files: which file is what.
         compiled: seconds of planning in which kernels were compiled.
     """
+    from learn2assemble.assembly.instructions.words import count_words
     from learn2assemble.viewer.words import weakest_words
 
     output.table(plan.design.name, ("block", "", "number"), _counted(plan))
-    number = f"{plan.blocks.used} blocks, {len(plan.steps)} steps"
+    number = f"{count_words(plan.blocks.used, 'block')}, {count_words(len(plan.steps), 'step')}"
     status = plan.status
     if found := plan.not_placed:
         status, number = f"{status} by the arm", f"{found} blocks found, none placed"

@@ -18,7 +18,7 @@ from learn2assemble.errors import InputError, check_name, look_up, printable
 from learn2assemble.export.formats import file_at
 from learn2assemble.export.place_words import place_rows, stands_words
 from learn2assemble.export.robot_tables import read_table, write_franka, write_table
-from learn2assemble.export.ros2 import is_bag, read_bag, write_bag
+from learn2assemble.export.ros2 import is_bag, names_of_two, read_bag, write_bag
 from learn2assemble.export.urscript import write_urscript
 from learn2assemble.files import as_path, check_exists, check_new, read_json
 from learn2assemble.motion.driver import arm_of
@@ -174,6 +174,8 @@ def export_program(
     shares = [usage(one.knots, its.bounds) for one, its in shown]
     used = {name: max(share[name] for share in shares) for name in shares[0]}
     long = made[:1] if both is None else on_one_clock((made[0], made[1]))
+    # Each arm counts its places from 1: of two it is said whose they are.
+    names = [f"{name} " for name in names_of_two(*(one.arm for one in made))] if both else [""]
     told = options.get("settings")
     frame = None if told is None else told.base_frame
     return Exported(
@@ -183,7 +185,11 @@ def export_program(
         used,
         tuple(place for one, _ in shown for place in one.places),
         1.0 if told is None else told.speed_factor,
-        tuple(row for one, its in shown for row in place_rows(one, its, frame)),
+        tuple(
+            (f"{name}{row[0]}", *row[1:])
+            for name, (one, its) in zip(names, shown, strict=True)
+            for row in place_rows(one, its, frame)
+        ),
         stands_words(program),
         sum(len(one.waits) for one, _ in shown) if len(made) == 2 else None,
     )
