@@ -177,6 +177,24 @@ def route_of(
     return Route(block, held, tuple(legs), goal, there, tuple(along), _loads(order, spots))
 
 
+def spots_of(building: Building, k: int, to: Offset | None) -> tuple[Offset, Offset]:
+    """How far from the place of the structure a block is, and shall be [m].
+
+    Args:
+        to: where it shall be, of what is brought from where it was built beside.
+    """
+    x, y, z = building.world.beside[k].tolist()
+    return (x, y, z), to or (x, y, z)
+
+
+def comes_next(building: Building, moved: Set[int]) -> set[int]:
+    """Which brick an arm as a rule fetches next, when some blocks are in their places; dry blocks
+    are not looked for."""
+    studs = building.known.structure.studs() is not None
+    step = building.known.next_after(moved) if studs else None
+    return set() if step is None else {step.block}
+
+
 def _loads(order: Order, spots: tuple[Offset, Offset]) -> dict[str, Offset]:
     """See :attr:`Route.loads`."""
     own = set(order.scene.members(order.move.cell).tolist())

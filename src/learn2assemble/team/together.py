@@ -36,8 +36,10 @@ from learn2assemble.team.telling import (
     SharedJournal,
     Turn,
     assume,
+    comes_next,
     forget,
     route_of,
+    spots_of,
     take_up,
     tell,
 )
@@ -273,7 +275,8 @@ class Together(Generic[Cell]):
             building.chosen = lambda: self._forget(who)
         moves = self.traffic.other(who).route is not None and self.working[1 - who]
         building.sight.carried = {self.moves[1 - who], *self.along[1 - who]} if moves else set()
-        building.between = self._between(who, action) if moves else set()
+        taken = {action.block, *action.group, self.moves[1 - who], *self.along[1 - who]}
+        building.between = comes_next(self.buildings[1 - who], taken) if moves else set()
         building.stood = self._stood(who, begin)
         self.picks[who], self.along[who] = action.block, action.group
         self.to[who] = action.to if action.group else None
@@ -305,15 +308,6 @@ class Together(Generic[Cell]):
         text += f"{left} step{'s' * (left != 1)} left{building.pace.about(left)}"
         progress(Detail(text))
         return True
-
-    def _between(self, who: int, action: Action) -> set[int]:
-        """Bricks that the other arm, which is at work, as a rule fetches next."""
-        known = self.buildings[1 - who].known
-        if known.structure.studs() is None:
-            return set()
-        moved = {action.block, *action.group, self.moves[1 - who], *self.along[1 - who]}
-        step = known.next_after(moved)
-        return set() if step is None else {step.block}
 
     def _may(self, who: int, action: Action) -> bool:
         """Whether an arm may begin something; it is asked once until it has done something."""
@@ -477,9 +471,7 @@ class Together(Generic[Cell]):
             building = self.buildings[who]
             along = [building.world.names[n] for n in self.along[who]]
             k = building.world.names.index(block)
-            x, y, z = building.world.beside[k].tolist()
-            spots = (x, y, z), self.to[who] or (x, y, z)
-            route = route_of(run, block, along, spots=spots)
+            route = route_of(run, block, along, spots=spots_of(building, k, self.to[who]))
             after = self.after[who]
             behind = after is not None and self.traffic.other(who).route is after
             if self.traffic.announce(who, route, behind):
